@@ -40,8 +40,11 @@ def assign(at: Execution, words: BlockWords) -> None:
             modal = name == 'RNDM'
             mover.corner = Corner('RND' if modal else str(name), value * mover.unit, modal)
         elif name in ('CTOL', 'OTOL'):
-            if not 0.0 < value * mover.unit < FARTHEST:
-                raise at.fault('the tolerance must be greater than zero', str(name))
+            at.demand(
+                0.0 < value * mover.unit < FARTHEST,
+                'the tolerance must be greater than zero',
+                str(name),
+            )
             if mover.settings.force_tolerances:
                 at.notice(str(name), "ignored, the command's tolerances are forced")
             elif name == 'CTOL':
@@ -66,8 +69,7 @@ def _set_name(at: Execution, name: str, value: float, others: bool) -> None:
         if name in codes.HARMLESS_NAMES or re.fullmatch(r'[SM]\d', name):
             at.notice(name, 'no effect, it does not move the tool')
             return
-        if re.fullmatch(r'[A-QS-Z]\d+', name):
-            raise at.fault(codes.NO_SUCH_AXIS, name, DependsOn.LINE)
+        at.demand(not re.fullmatch(r'[A-QS-Z]\d+', name), codes.NO_SUCH_AXIS, name, DependsOn.LINE)
         if others and not re.fullmatch(r'R\d+', name):
             raise at.fault(codes.UNKNOWN_NAME, name)
     at.variables.set_name(name, value)

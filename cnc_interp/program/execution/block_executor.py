@@ -34,8 +34,7 @@ from cnc_interp.program.text.words import BlockWords
 
 def execute(at: Execution, words: BlockWords) -> None:
     values, mover = words.values, at.mover
-    for letter in ('N', 'O'):
-        values.pop(letter, None)
+    words.take('NO')
     words.g += probing.measuring(words)
     if mover.dialect is LINUXCNC and 'G76' in words.g:
         words.g[words.g.index('G76')] = codes.THREAD_CYCLE
@@ -123,10 +122,11 @@ def _stay_beside_contour(at: Execution, words: BlockWords) -> None:
     named = {*words.g, *words.m, *(key for key, _ in words.keys)}
     if other := sorted(named & NOT_BESIDE_CONTOUR):
         raise at.fault(f'{mover.radius_code} is on; write G40 before', other[0])
-    if mover.plane != mover.radius_plane:
-        raise at.fault(
-            f'another plane while {mover.radius_code} is on; write G40 before', mover.plane
-        )
+    at.demand(
+        mover.plane == mover.radius_plane,
+        f'another plane while {mover.radius_code} is on; write G40 before',
+        mover.plane,
+    )
 
 
 def _end_block(at: Execution, words: BlockWords, calling: Call | None) -> None:

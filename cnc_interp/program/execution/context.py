@@ -52,7 +52,8 @@ class Execution:
         self.mover.dialect = dialect
         self.mover.motion = dialect.starts_with
         self.mover.centres_open &= dialect is not LINUXCNC
-        self.fault, self.notice = self.mover.fault, self.mover.notice
+        self.fault, self.demand = self.flow.fault, self.flow.demand
+        self.notice = self.mover.notice
         self.splines = Splines(self.mover)
         self.plane = TiltedPlane(self.mover)
         self.signals = geometry.machine.signals

@@ -28,11 +28,9 @@ def choose_tool(at: Execution, words: BlockWords) -> None:
         at.has_tool = at.tool == at.mover.setup.tool
         at.mover.change(SetupChange('tool', at.tool))
     if 'M19' in words.m and 'G64' not in words.g:
-        for letter in 'RPQ':  # where the spindle stops
-            values.pop(letter, None)
+        words.take('RPQ')  # where the spindle stops
     if words.second_tool is not None:
-        if not changes:
-            raise at.fault('T is written twice in one block; keep one of them', 'T')
+        at.demand(changes, 'T is written twice in one block; keep one of them', 'T')
         at.chosen_tool = round(min(abs(words.second_tool), 1e6))
 
 
@@ -83,8 +81,7 @@ def functions_of(at: Execution, words: BlockWords) -> tuple[list[Acting], list[A
     if {'M50', 'M51'} & set(words.m):
         given[signals.FIXED] = float(values.pop('P', 1.0) == 0.0)
     moments = acting(at.signals, found, given, at.fault)
-    for letter in at.signals.letters(found) & {'P', 'Q'}:
-        values.pop(letter, None)
+    words.take(at.signals.letters(found) & {'P', 'Q'})
     return moments
 
 

@@ -22,14 +22,17 @@ def dwell(at: Execution, code: str, words: BlockWords) -> None:
     """Process G4, whose time the letters P, X, F, U or (in turns) S give."""
     given = at.times
     at.mover.end_corner()
-    if {'X', 'Y', 'Z', *at.mover.rotary_letters} & set(words.values):
-        raise at.fault('a dwell and a motion in one block; write two lines', code)
+    moves = not words.values.keys().isdisjoint(at.mover.frames.letters)
+    at.demand(not moves, 'a dwell and a motion in one block; write two lines', code)
     at.splines.stop_here()
     letter = next(iter(given), '')
     seconds = given.get(letter, 0.0)
     if letter == 'S':
-        if not at.mover.spindle_speed > 0.0:
-            raise at.fault('counts turns of the spindle; write S and M3 before', 'G4 S')
+        at.demand(
+            at.mover.spindle_speed > 0.0,
+            'counts turns of the spindle; write S and M3 before',
+            'G4 S',
+        )
         seconds *= MINUTE / at.mover.spindle_speed
     at.rest_for(code, seconds, words.texts.get('P', '') if letter == 'P' else '.')
 
@@ -44,11 +47,11 @@ def thread(at: Execution, code: str, words: BlockWords) -> None:
     mover, letter = at.mover, 'F' if code == 'G32' else 'K'
     if code == 'G32' and mover.dialect not in (FANUC, PLAIN):
         raise at.fault('a thread of Fanuc; write G33 with K', code)
-    if not mover.follows:
-        raise at.fault(
-            'the spindle has no encoder; name the input spindle_angle in the machine file',
-            code,
-        )
+    at.demand(
+        mover.follows,
+        'the spindle has no encoder; name the input spindle_angle in the machine file',
+        code,
+    )
     mover.end_corner()
     at.splines.stop_here()
     if code == codes.THREAD_CYCLE:
@@ -56,8 +59,7 @@ def thread(at: Execution, code: str, words: BlockWords) -> None:
         mover.motion = None
         return
     pitch = words.values.pop(letter, 0.0) * mover.unit
-    if not pitch > 0.0:
-        raise at.fault(f'needs {letter}, the way per turn', code)
+    at.demand(pitch > 0.0, f'needs {letter}, the way per turn', code)
     target = mover.frames.point(mover.target(words)[:3])
     if code == 'G32' and (way := np.abs(target - mover.point)).any():
         pitch *= float(np.linalg.norm(way)) / way.max()  # F counts along the longest axis
@@ -103,12 +105,11 @@ def spline(at: Execution, code: str, words: BlockWords) -> None:
 def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
     mover, values = at.mover, words.values
     machine = 'G53' in words.g and not {'G28', 'G30'} & set(words.g)
-    axes = any(letter in values for letter in ('X', 'Y', 'Z', *mover.rotary_letters))
+    axes = not values.keys().isdisjoint(mover.frames.letters)
     if machine and axes and mover.incremental and mover.dialect is not SIEMENS:
         raise at.fault('with G91 Fanuc leaves it out, LinuxCNC refuses it; write G90', 'G53')
     if at.cycle is not None and axes:
-        if machine:
-            raise at.fault('machine coordinates in a canned cycle; write G80 before', 'G53')
+        at.demand(not machine, 'machine coordinates in a canned cycle; write G80 before', 'G53')
         at.cycle.drill(mover, words, feed_given)
     elif at.cycle is None and not at.splines.take(words, feed_given):
         mover.move(words, feed_given, machine)

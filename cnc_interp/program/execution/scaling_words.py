@@ -17,7 +17,7 @@ _THOUSANDTHS = 100.0
 
 def scale_or_mirror(at: Execution, code: str, words: BlockWords) -> None:
     mover, frames = at.mover, at.mover.frames
-    given = {i: words.values.pop(x) * mover.unit for i, x in enumerate('XYZ') if x in words.values}
+    given = {i: value * mover.unit for i, value in words.take('XYZ').items()}
     if code == 'G50' and given:
         why = 'with axis words it presets coordinates on lathes; write G50 alone, or G92'
         raise at.fault(why, f'G50 {words.texts["XYZ"[min(given)]]}')
@@ -26,8 +26,7 @@ def scale_or_mirror(at: Execution, code: str, words: BlockWords) -> None:
         return
     _demand_rest(at, code)
     if code == 'G51.1':
-        if not given:
-            raise at.fault('give the axis and the place at which it is mirrored, as X0', code)
+        at.demand(given, 'give the axis and the place at which it is mirrored, as X0', code)
         frames.mirrors |= given
     elif code == 'G50.1':
         for i in given or list(frames.mirrors):
@@ -39,8 +38,7 @@ def scale_or_mirror(at: Execution, code: str, words: BlockWords) -> None:
         factors = {
             letter: _factor(at, letter, words) for letter in 'PIJK' if letter in words.values
         }
-        if not factors:
-            raise at.fault('give the scale as P, or as I J K by axis', code)
+        at.demand(factors, 'give the scale as P, or as I J K by axis', code)
         every = factors.get('P', 1.0)
         frames.scale = np.array([factors.get(letter, every) for letter in 'IJK'])
         frames.scale_centre = np.array([given.get(i, here[i]) for i in range(3)])
@@ -58,8 +56,7 @@ def _factor(at: Execution, letter: str, words: BlockWords) -> float:
 
 
 def _demand_scale(at: Execution, value: float, word: str) -> float:
-    if not _LEAST <= abs(value) <= _MOST:
-        raise at.fault(f'a scale must be from {_LEAST:g} to {_MOST:g}', word)
+    at.demand(_LEAST <= abs(value) <= _MOST, f'a scale must be from {_LEAST:g} to {_MOST:g}', word)
     return value
 
 
@@ -68,8 +65,7 @@ def _demand_rest(at: Execution, code: str) -> None:
     mover = at.mover
     if mover.tcp or mover.oriented or at.plane.parts:
         raise at.fault('with tool-tip programming or a tilted plane; post the path itself', code)
-    if at.cycle is not None:
-        raise at.fault('a canned cycle is on; write G80 before', code)
+    at.demand(at.cycle is None, 'a canned cycle is on; write G80 before', code)
     at.splines.end()
     mover.end_corner()
 
@@ -77,16 +73,15 @@ def _demand_rest(at: Execution, code: str) -> None:
 def scale_or_mirror_frame(at: Execution, key: str, words: BlockWords) -> None:
     """Process MIRROR X0, SCALE X2: about zero, in the frame; A in front keeps the frame so far."""
     mover, frames = at.mover, at.mover.frames
-    given = {x: words.values.pop(x) for x in 'XYZ' if x in words.values}
+    given = words.take('XYZ')
     _demand_rest(at, key)
     if not key.startswith('A'):
         frames.reset_frame()
         frames.reset_scale()
-    for letter, value in given.items():
-        i = 'XYZ'.index(letter)
+    for i, value in given.items():
         if key.endswith('SCALE'):
             frames.scale = frames.scale.copy()
-            frames.scale[i] *= _demand_scale(at, value, f'{letter}{value:g}')
+            frames.scale[i] *= _demand_scale(at, value, f'{"XYZ"[i]}{value:g}')
         elif i in frames.mirrors:
             del frames.mirrors[i]
         else:

@@ -34,8 +34,7 @@ def look_ahead(at: Execution, code: str, words: BlockWords) -> None:
     """Process the switches G5, G5.1 and G8, which with other letters are splines."""
     if codes.SPLINE_LETTERS & words.values.keys():
         refuse(at, code, words)
-    for letter in codes.LOOK_AHEAD[code]:
-        words.values.pop(letter, None)
+    words.take(codes.LOOK_AHEAD[code])
     at.notice(code, 'no effect, the path is always smoothed within the tolerances')
 
 
@@ -69,8 +68,11 @@ def end_plane(at: Execution, *_: object) -> None:
 
 
 def begin_polar(at: Execution, code: str, _: BlockWords) -> None:
-    if at.mover.dialect not in MODES['polar'].dialects:
-        raise at.fault('polar coordinates are those of Fanuc; post with X and Y', code)
+    at.demand(
+        at.mover.dialect in MODES['polar'].dialects,
+        'polar coordinates are those of Fanuc; post with X and Y',
+        code,
+    )
     at.mover.polar = True
 
 
@@ -85,8 +87,7 @@ def no_effect(at: Execution, code: str, words: BlockWords) -> None:
     if code == 'G15' and mover.polar:
         mover.polar = False
         return
-    for letter in codes.IDLE_LETTERS.get(code, ''):
-        words.values.pop(letter, None)
+    words.take(codes.IDLE_LETTERS.get(code, ''))
     if code in ('G96', 'G97'):
         mover.by_surface_speed = code == 'G96'
     if code not in at.signals.words:
@@ -102,8 +103,7 @@ def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
             at.notice(code, 'nothing to switch off')
         mover.end_radius()
         return
-    if mover.radius_code:
-        raise at.fault(f'{mover.radius_code} is on; write G40 before', code)
+    at.demand(not mover.radius_code, f'{mover.radius_code} is on; write G40 before', code)
     if code in ('G41.2', 'G42.2') or (mover.along_normals and code in ('G41', 'G42')):
         _contact_normals(at, code, words)
         return
@@ -115,8 +115,11 @@ def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
         radius = 0.5 * named * mover.unit
     else:
         radius = cutter_of(at, words).radius
-    if not 0.0 <= abs(radius) < FARTHEST:
-        raise at.fault('a radius beyond 100,000 mm; correct it', words.texts.get('D', code))
+    at.demand(
+        0.0 <= abs(radius) < FARTHEST,
+        'a radius beyond 100,000 mm; correct it',
+        words.texts.get('D', code),
+    )
     mover.begin_radius(code, radius if code.startswith('G41') else -radius)
 
 
@@ -134,11 +137,11 @@ def _contact_normals(at: Execution, code: str, words: BlockWords) -> None:
         )
     cutter = ToolShape(chosen.radius, corner)
     _demand_corner(at, cutter, words.texts.get('R', code))
-    if ('Q' in values) != ('P' in values):
-        raise at.fault(
-            'Q is the radius and P the corner radius of the tool of the program; write both',
-            code,
-        )
+    at.demand(
+        ('Q' in values) == ('P' in values),
+        'Q is the radius and P the corner radius of the tool of the program; write both',
+        code,
+    )
     if 'Q' in values:
         posted = ToolShape(values.pop('Q') * mover.unit, values.pop('P') * mover.unit)
         _demand_corner(at, posted, words.texts['P'])

@@ -24,8 +24,9 @@ def choose_work_offset(at: Execution, code: str, words: BlockWords) -> None:
 
 def choose_extended_offset(at: Execution, code: str, words: BlockWords) -> None:
     number = words.values.pop('P', 0.0)
-    if f'G54.1 P{number:g}' not in ALL_OFFSETS:
-        raise at.fault('P must be the number of the offset, 1 to 300', code)
+    at.demand(
+        f'G54.1 P{number:g}' in ALL_OFFSETS, 'P must be the number of the offset, 1 to 300', code
+    )
     choose_offset(at, f'G54.1 P{number:g}')
 
 
@@ -78,8 +79,9 @@ def tool_length(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def switch_tcp(at: Execution, word: str, _: BlockWords) -> None:
-    if not at.mover.rotary_letters:
-        raise at.fault('tool-tip programming needs a machine with rotary axes', word)
+    at.demand(
+        at.mover.rotary_letters, 'tool-tip programming needs a machine with rotary axes', word
+    )
     at.mover.demand_no_scale(word)
     at.mover.switch_tcp(word)
 
@@ -109,49 +111,52 @@ def write_setup(at: Execution, _: str, words: BlockWords) -> None:
     if kind in (10.0, 11.0) and 'R' in words.values and 'Z' not in words.values:
         raise at.fault(codes.G10_CONFLICTS['tool R'], f'G10 L{kind:g} R')
     if dialect is LINUXCNC:
-        for letter in 'IJQ':  # of a lathe
-            words.values.pop(letter, None)
+        words.take('IJQ')  # of a lathe
     if kind in (1.0, 10.0, 11.0):
         _write_tool(at, int(kind), index, words)
         return
-    if kind not in (2.0, 20.0) or index not in range(10):
-        raise at.fault('only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported', 'G10')
+    at.demand(
+        kind in (2.0, 20.0) and index in range(10),
+        'only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported',
+        'G10',
+    )
     mover, angle, here = at.mover, words.values.pop('R', None), None
     if angle is not None:
-        if kind == 20.0:
-            raise at.fault('L20 takes no rotation; write it with L2', words.texts['R'])
-        if not abs(angle) <= MOST_ANGLE:
-            raise at.fault('a rotation beyond ten turns; correct it', words.texts['R'])
+        at.demand(kind != 20.0, 'L20 takes no rotation; write it with L2', words.texts['R'])
+        at.demand(
+            abs(angle) <= MOST_ANGLE, 'a rotation beyond ten turns; correct it', words.texts['R']
+        )
         angle *= DEG
     if kind == 20.0:
         mover.demand_no_scale('G10 L20')
         here = np.concatenate([mover.point, mover.rotary])
-    given = _offset_words(at, words.values)
+    given = _offset_words(at, words)
     mover.change(mover.frames.work_change(int(index), given, here, angle))
 
 
 def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> None:
     """Process G10 L1 (length of a tool), L10, L11 (what Z reads with it here, or in G59.3)."""
     mover, frames, values = at.mover, at.mover.frames, words.values
-    if number not in range(1, MOST_TOOL + 1):
-        raise at.fault(f'G10 L{kind} needs P with a tool number, 1 to {MOST_TOOL}', 'G10')
+    at.demand(
+        number in range(1, MOST_TOOL + 1),
+        f'G10 L{kind} needs P with a tool number, 1 to {MOST_TOOL}',
+        'G10',
+    )
     if mover.tcp and kind != 1:
         raise at.fault('a tool is measured with tool-tip programming off', f'G10 L{kind}')
     tool = mover.setup.tools.get(int(number), Tool())
     length, radius = tool.length, tool.radius
     if 'R' in values:
         radius = values.pop('R') * mover.unit
-        if not 0.0 <= radius <= FARTHEST:
-            raise at.fault('the radius must not be below 0', words.texts['R'])
-    given = _offset_words(at, values)
+        at.demand(0.0 <= radius <= FARTHEST, 'the radius must not be below 0', words.texts['R'])
+    given = _offset_words(at, words)
     if 2 in given:
         length = given.pop(2)
         if kind == 10:
             length = float(mover.point[2] - (frames.origin[2] - frames.length)) - length
         elif kind == 11:
             length = float(mover.point[2] - frames.work('G59.3')[2]) - length
-    if given:
-        raise at.fault('a tool has a length (Z) and a radius (R) only', f'G10 L{kind}')
+    at.demand(not given, 'a tool has a length (Z) and a radius (R) only', f'G10 L{kind}')
     wear = tool.length_wear if kind == 1 else 0.0  # it was measured as it cuts
     measured = replace(tool, length=length, radius=radius, length_wear=wear)
     if measured.corner_radius is not None and measured.corner_radius > radius:
@@ -159,13 +164,12 @@ def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> N
     mover.change(SetupChange('tools', measured, int(number)))
 
 
-def _offset_words(at: Execution, values: dict[str, float]) -> dict[int, float]:
-    found = {}
-    for i, letter in enumerate(at.mover.frames.letters):
-        if letter in values:
-            found[i] = values.pop(letter) * (at.mover.unit if i < 3 else DEG)
-            if not abs(found[i]) <= FARTHEST:
-                raise at.fault('an offset beyond 100,000 mm; correct it', letter)
+def _offset_words(at: Execution, words: BlockWords) -> dict[int, float]:
+    found, letters = {}, at.mover.frames.letters
+    for i, value in words.take(letters).items():
+        found[i] = value * (at.mover.unit if i < 3 else DEG)
+        far = 'an offset beyond 100,000 mm; correct it'
+        at.demand(abs(found[i]) <= FARTHEST, far, letters[i])
     return found
 
 
@@ -202,7 +206,7 @@ def keep_reference(at: Execution, code: str, _: BlockWords) -> None:
 def shift_frame(at: Execution, _: str, words: BlockWords) -> None:
     """Process G52: the frame moves; the tool does not."""
     frames = at.mover.frames
-    for i, value in _offset_words(at, words.values).items():
+    for i, value in _offset_words(at, words).items():
         frames.local[i] = value
     frames.update()
 
@@ -212,7 +216,7 @@ def preset(at: Execution, _: str, words: BlockWords) -> None:
     mover, frames = at.mover, at.mover.frames
     mover.demand_no_scale('G92')
     here, amounts = mover.here(), frames.g92.copy()
-    for i, value in _offset_words(at, words.values).items():
+    for i, value in _offset_words(at, words).items():
         if i < 3:
             amounts[:3] += frames.programmed_turn[:, i] * (here[i] - value)
         else:

@@ -8,7 +8,7 @@ from math import inf, nan
 
 import numpy as np
 
-from cnc_interp.core import DEG, INCH, MINUTE, MM, DependsOn, FloatArray, ProgramError
+from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.signals import FOLLOWS
 from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
@@ -102,6 +102,7 @@ class ModalState(ModalValues):
         super().__init__()
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
+        self.fault, self.demand = flow.fault, flow.demand
         self.targets = TargetColumns(geometry, settings, flow.main.name)
         self.probed: dict[int, float] = {}  # variables of the last probe
         self.extra_letters = tuple(geometry.machine.extra_names)
@@ -217,11 +218,6 @@ class ModalState(ModalValues):
             del found['great_circle']
         return found
 
-    def fault(
-        self, message: str, word: str = '', depends_on: DependsOn = DependsOn.STATE
-    ) -> ProgramError:
-        return self.flow.fault(message, word, depends_on)
-
     def notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.flow.line_number, f'{key}: {text}')
 
@@ -278,6 +274,11 @@ class ModalState(ModalValues):
         rotary = self.rotary - self.frames.rotary_origin
         return np.concatenate([self.frames.program(self.point), rotary])
 
+    def in_words(self, place: FloatArray) -> dict[str, float]:
+        """Return a place (5,) in units of the program and deg, by the letters of its axes."""
+        sizes = np.array([self.unit] * 3 + [DEG] * 2)
+        return dict(zip(self.frames.letters, (place / sizes).tolist(), strict=False))
+
     def switch_tcp(self, word: str) -> None:
         """Switch tool-tip programming on by a word, or off (empty); the axes do not move."""
         word = word or (ORIENTED if self.oriented else '')
@@ -322,10 +323,9 @@ class ModalState(ModalValues):
         upright = np.abs(np.cross(self.vector, self.geometry.pole)).max() < UPRIGHT
         free = self.rotary if upright else None
         near = self.geometry.branches(self.vector, self.rotary, free)
-        if not near:
-            raise self.fault(
-                'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
-            )
+        self.demand(
+            near, 'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
+        )
         self.rotary = min(near, key=lambda pair: float(np.abs(pair - self.rotary).sum()))
         self.targets.stand_at(self.rotary)
         self.vector = None
@@ -356,10 +356,11 @@ class ModalState(ModalValues):
                 raise self.fault(NO_NEW_F if self.feed_changed else NO_F)
             if self.feed_mode == 'G94':
                 return self.feedrate, nan, self.turn_rate
-            if self.by_surface_speed:
-                raise self.fault(
-                    'feed per revolution (G95) at a surface speed (G96); write G97 S', 'G95'
-                )
+            self.demand(
+                not self.by_surface_speed,
+                'feed per revolution (G95) at a surface speed (G96); write G97 S',
+                'G95',
+            )
             if not self.spindle_speed > 0.0:
                 why = 'feed per revolution (G95) without a spindle speed; write S first'
                 raise self.fault(why, 'G95')
@@ -371,8 +372,7 @@ class ModalState(ModalValues):
         return nan, MINUTE / self.blocks_per_minute, nan
 
     def set_feed(self, value: float, word: str, unit: float) -> None:
-        if not 0.0 < value < inf:
-            raise self.fault('the feedrate must be greater than zero', word)
+        self.demand(0.0 < value < inf, 'the feedrate must be greater than zero', word)
         if self.feed_mode == 'G93':
             self.blocks_per_minute = value
             if value < SLOWEST:

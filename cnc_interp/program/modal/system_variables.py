@@ -46,10 +46,8 @@ def numbered(state: ModalState, tool: int, cycle: str) -> dict[int, float]:
         5082: 0.0,
         5083: state.frames.length / state.unit,
     }
-    stands = state.axis_positions()
-    for letter, value in zip(state.frames.letters, stands.tolist(), strict=False):
-        i = 'XYZABC'.index(letter)
-        found[_STANDS + i] = value / (state.unit if i < 3 else DEG)
+    for letter, value in state.in_words(state.axis_positions()).items():
+        found[_STANDS + 'XYZABC'.index(letter)] = value
     return found | _of_linuxcnc(state, tool)
 
 
@@ -63,7 +61,7 @@ def _of_linuxcnc(state: ModalState, tool: int) -> dict[int, float]:
         5403: state.frames.length / state.unit,
         5410: 2.0 * setup.tools.get(tool, Tool()).worn.radius / state.unit,
     }
-    letters = ('X', 'Y', 'Z', *state.rotary_letters)
+    letters = state.frames.letters
     machine = dict(zip(letters, [*state.zero.tolist(), 0.0, 0.0], strict=False))
     none = dict.fromkeys(letters, 0.0)
     positions = {5210: none | dict(setup.g92)}
@@ -86,8 +84,7 @@ def named(
     state: ModalState, tool: int, chosen: int, outputs: Mapping[str, str]
 ) -> dict[str, float]:
     """Return the named parameters that LinuxCNC sets itself, as ``<_X>``."""
-    letters = ('X', 'Y', 'Z', *state.rotary_letters)
-    machine = state.axis_positions().tolist()
+    here, machine = (state.in_words(place) for place in (state.here(), state.axis_positions()))
     motion = state.motion if state.motion is not None else 80
     found = {
         'METRIC': state.unit == MM,
@@ -123,7 +120,5 @@ def named(
         'VALUE': state.flow.returned[0],
         'VALUE_RETURNED': state.flow.returned[1],
     }
-    for letter, here, there in zip(letters, state.here().tolist(), machine, strict=False):
-        size = state.unit if letter in 'XYZ' else DEG
-        found[letter], found[f'ABS_{letter}'] = here / size, there / size
+    found |= here | {f'ABS_{letter}': value for letter, value in machine.items()}
     return {f'<_{name}>': float(value) for name, value in found.items()}

@@ -18,10 +18,10 @@ def go_along(mover: Mover, code: str, words: BlockWords) -> None:
     I J a cubic one goes on as the one before ended.
     """
     values, here = words.values, mover.here()[:3]
-    if mover.plane != 'G17':
-        raise mover.fault('a spline lies in the plane of X and Y; write G17 before', code)
-    if mover.targets.empty:
-        raise mover.fault('begins where the tool is; move there first', code)
+    mover.demand(
+        mover.plane == 'G17', 'a spline lies in the plane of X and Y; write G17 before', code
+    )
+    mover.demand(not mover.targets.empty, 'begins where the tool is; move there first', code)
     first, last = (_way(mover, pair, values) for pair in ('IJ', 'PQ'))
     if code == 'G5.1' and first is None:
         raise mover.fault('needs I and J, the way to the control point', code)
@@ -29,12 +29,16 @@ def go_along(mover: Mover, code: str, words: BlockWords) -> None:
         raise mover.fault('needs P and Q, the way from the end to the second control point', code)
     if code == 'G5' and first is None:
         first, ended = mover.spline_goes_on
-        if not np.array_equal(ended, mover.point):
-            raise mover.fault('needs I and J, because no spline comes before', code)
+        mover.demand(
+            np.array_equal(ended, mover.point),
+            'needs I and J, because no spline comes before',
+            code,
+        )
     assert first is not None
     end = mover.target(words)[:3]
-    if abs(end[2] - here[2]) > 0.0:
-        raise mover.fault('a spline lies in the plane of X and Y; leave out Z', code)
+    mover.demand(
+        abs(end[2] - here[2]) <= 0.0, 'a spline lies in the plane of X and Y; leave out Z', code
+    )
     points = np.stack(
         [here, here + first, end] if last is None else [here, here + first, end + last, end]
     )
@@ -45,8 +49,9 @@ def go_along(mover: Mover, code: str, words: BlockWords) -> None:
     # A chord of a curve with the second derivative b leaves it by b / (8 n^2) at most.
     bend = 6.0 * np.abs(np.diff(points, 2, axis=0)).max(axis=0)
     count = np.sqrt(np.linalg.norm(bend) / (8.0 * CHORD_SHARE * mover.contour))
-    if not count <= MOST_CHORDS:
-        raise mover.fault(f'more than {MOST_CHORDS:,} chords; widen the tolerance', code)
+    mover.demand(
+        count <= MOST_CHORDS, f'more than {MOST_CHORDS:,} chords; widen the tolerance', code
+    )
     kept = mover.contour, mover.stop_always, mover.stop_once
     mover.contour, mover.stop_always = (1.0 - CHORD_SHARE) * mover.contour, False
     mover.stop_once = False
@@ -62,6 +67,5 @@ def go_along(mover: Mover, code: str, words: BlockWords) -> None:
 
 def _way(mover: Mover, pair: str, values: dict[str, float]) -> FloatArray | None:
     given = [values.pop(letter) for letter in pair if letter in values]
-    if len(given) == 1:
-        raise mover.fault(f'give both {pair[0]} and {pair[1]}, or neither', 'G5')
+    mover.demand(len(given) != 1, f'give both {pair[0]} and {pair[1]}, or neither', 'G5')
     return np.array([*given, 0.0]) * mover.unit if given else None

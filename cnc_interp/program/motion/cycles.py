@@ -157,24 +157,26 @@ class CannedCycle:
         values = words.values
         self._refuse(mover, words)
         kept = (drilling, 'R', 'Q', 'P', *('IJK' if self.code in _SHIFTING else ''))
-        for letter in kept:
-            if letter in values:
-                self._sticky[letter] = values.pop(letter)
-                self._texts[letter] = words.texts.get(letter, '')
+        for i, value in words.take(kept).items():
+            self._sticky[kept[i]] = value
+            self._texts[kept[i]] = words.texts.get(kept[i], '')
         repeats = values.pop('L', None)
         repeats = values.pop('K', 1.0) if repeats is None else repeats
-        if not 0.0 <= repeats <= _MOST_REPEATS:
-            raise mover.fault(f'a cycle is repeated 0 to {_MOST_REPEATS} times', f'L{repeats:g}')
+        mover.demand(
+            0.0 <= repeats <= _MOST_REPEATS,
+            f'a cycle is repeated 0 to {_MOST_REPEATS} times',
+            f'L{repeats:g}',
+        )
         for letter, meaning in ((drilling, 'depth'), ('R', 'retract plane')):
-            if letter not in self._sticky:
-                raise mover.fault(f'the cycle needs its {meaning} {letter}', self.code)
+            mover.demand(
+                letter in self._sticky, f'the cycle needs its {meaning} {letter}', self.code
+            )
         for _ in range(round(repeats)):
             hole = mover.target(
                 BlockWords(values=dict(values), ways=words.ways, texts=words.texts)
             )
             self._hole(mover, hole, axis, feed_given)
-        for letter in ('X', 'Y', 'Z', *mover.rotary_letters):
-            values.pop(letter, None)
+        words.take(('X', 'Y', 'Z', *mover.rotary_letters))
 
     def _refuse(self, mover: Mover, words: BlockWords) -> None:
         if mover.by_axes and mover.rotary.any() and mover.frames.rotated:
@@ -204,8 +206,11 @@ class CannedCycle:
         else:
             retract, bottom = retract * mover.unit, depth * mover.unit
         if retract < bottom and self.code != 'G87':
-            if mover.dialect not in (FANUC, PLAIN):
-                raise mover.fault('the retract plane R lies below the depth', self.code)
+            mover.demand(
+                mover.dialect in (FANUC, PLAIN),
+                'the retract plane R lies below the depth',
+                self.code,
+            )
             mover.notice(
                 f'WARNING: {self.code} with R below Z', 'the feed goes from R up to Z, as on Fanuc'
             )
@@ -278,8 +283,9 @@ class CannedCycle:
                 'drilled in one stroke; Fanuc and LinuxCNC refuse it',
             )
             return []
-        if not 0.0 < step < FARTHEST:
-            raise mover.fault('the cycle needs its peck Q, greater than zero', self.code)
+        mover.demand(
+            0.0 < step < FARTHEST, 'the cycle needs its peck Q, greater than zero', self.code
+        )
         return pecks_of(retract, bottom, step, lambda text: mover.fault(text, self.code))
 
 
@@ -312,11 +318,11 @@ class SiemensCycle:
         axis = PLANES[mover.plane][2]
         reference, depth = self._value(1) * unit, self._at(3)
         bottom = reference - self._value(4) * unit if depth is None else depth * unit
-        if reference < bottom:
-            raise mover.fault('the reference plane lies below the depth', self.name)
+        mover.demand(reference >= bottom, 'the reference plane lies below the depth', self.name)
         retract, clear = reference + self._value(2) * unit, self._value(0) * unit
-        if clear < retract:
-            raise mover.fault('the retract plane RTP lies below the safety distance', self.name)
+        mover.demand(
+            clear >= retract, 'the retract plane RTP lies below the safety distance', self.name
+        )
         pecks = self._pecks(reference, bottom) if self.name == 'CYCLE83' else []
         shift = None
         if self.name == 'CYCLE86' and any(self._value(i) for i in (7, 8)):
@@ -406,8 +412,7 @@ def places_of(name: str, given: Given, mover: Mover) -> list[tuple[float, float]
     unit = mover.unit
     values = [value or 0.0 for value in given] + [0.0] * 6
     a, b, count = values[0] * unit, values[1] * unit, int(values[5])
-    if not 0 < count <= _MOST_HOLES:
-        raise mover.fault('the number of holes is missing', name)
+    mover.demand(0 < count <= _MOST_HOLES, 'the number of holes is missing', name)
     if name == 'HOLES1':
         along = np.exp(1j * values[2] * DEG)
         steps = (values[3] + values[4] * np.arange(count)) * unit

@@ -50,8 +50,9 @@ class Mover(ModalState):
             self.go(self.point, self.rotary, rapid=True)
         vector = self._vector_of(words, arc_words)
         if self.contact is not None:
-            if arc_words is not None:
-                raise self.fault('arcs have no contact normals; post lines', self.radius_code)
+            self.demand(
+                arc_words is None, 'arcs have no contact normals; post lines', self.radius_code
+            )
             self.contact.take(words, self.frames.turn, self._contact_fault)
         by_machine = self.machine_words(words) if machine else ''
         if machine:
@@ -66,8 +67,7 @@ class Mover(ModalState):
         self.extra = self.extra_target(words, machine)
         arc: tuple[float, ...] = NO_ARC
         if self.motion >= 2 and arc_words is not None:
-            if machine:
-                raise self.fault('an arc in machine coordinates; write G0 or G1', 'G53')
+            self.demand(not machine, 'an arc in machine coordinates; write G0 or G1', 'G53')
             arc = self._arc(target, arc_words)
         elif self.motion >= 2:
             raise self.fault(FAULTS[1])
@@ -86,8 +86,11 @@ class Mover(ModalState):
         a, b, _ = PLANES[self.plane]
         given, wanted = (a, b) if 'XYZ'[a] in letters else (b, a)
         here, slope = self.here(), np.tan(angle) if given == a else 1.0 / np.tan(angle)
-        if len({'XYZ'[a], 'XYZ'[b]} & letters) != 1 or not abs(slope) < 1e9:
-            raise self.fault('give one word of the end in the plane, not along the angle', 'ANG')
+        self.demand(
+            len({'XYZ'[a], 'XYZ'[b]} & letters) == 1 and abs(slope) < 1e9,
+            'give one word of the end in the plane, not along the angle',
+            'ANG',
+        )
         target[wanted] = here[wanted] + (target[given] - here[given]) * slope
 
     def stand_at(self, q: FloatArray) -> None:
@@ -130,8 +133,7 @@ class Mover(ModalState):
         self.feedrate = kept
 
     def begin_radius(self, code: str, distance: float) -> None:
-        if self.targets.empty:
-            raise self.fault('move to a place beside the contour before', code)
+        self.demand(not self.targets.empty, 'move to a place beside the contour before', code)
         frame = self.frames.plane(*PLANES[self.plane][:2])
         known = self.vector is not None or (self.rotary_letters and self.tcp)
         if known and abs(self.tool_axis @ frame[:, 2]) < 1.0 - SAME_AXIS:
@@ -148,14 +150,15 @@ class Mover(ModalState):
 
     def begin_contact(self, code: str, cutter: ToolShape) -> None:
         """Take points from here on as those at which the cutter touches, by G41.2 or G42.2."""
-        if self.targets.empty:
-            raise self.fault('move to a place beside the part before', code)
-        if self.by_axes:
-            raise self.fault(f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code)
-        if self.tcp == 'G43.5':
-            raise self.fault(
-                'with G43.5 I J K are the tool direction; use G43.4, or A5= B5= C5=', code
-            )
+        self.demand(not self.targets.empty, 'move to a place beside the part before', code)
+        self.demand(
+            not self.by_axes, f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code
+        )
+        self.demand(
+            self.tcp != 'G43.5',
+            'with G43.5 I J K are the tool direction; use G43.4, or A5= B5= C5=',
+            code,
+        )
         self.radius_code, self.radius_plane = code, self.plane
         self.contact = ContactPath(cutter)
 
@@ -194,16 +197,14 @@ class Mover(ModalState):
         """Go to a point in step with the spindle, by ``pitch`` in a turn [m], and maybe back."""
         if self.by_surface_speed or not self.spindle_speed > 0.0:
             raise self.fault('needs S, the speed in rev/min', code)
-        if self.vector is not None:
-            raise self.fault('needs rotary words before, not directions', code)
+        self.demand(self.vector is None, 'needs rotary words before, not directions', code)
         start, rotary = self.point, self.rotary
         way = point - start
         if self.tcp:
             ends = np.stack([start, point]), np.tile(rotary, (2, 1))
             way = np.diff(self.geometry.linear(*ends), axis=0)[0]
         turns = float(np.linalg.norm(way)) / pitch
-        if not turns > 0.0:
-            raise self.fault('needs a motion', code)
+        self.demand(turns > 0.0, 'needs a motion', code)
         told = *way / turns / MM, -turns if comes_back else turns
         self.act(FOLLOWS, dict(zip(THREAD, told, strict=True)))
         kept = self.feed_mode, self.feedrate
@@ -242,18 +243,14 @@ class Mover(ModalState):
         target = here.copy()
         if self.polar:
             self._from_polar(words, here)
-        for i, letter in enumerate(('X', 'Y', 'Z', *self.rotary_letters)):
-            value = words.values.pop(letter, None)
-            if value is None:
-                continue
+        for i, value in words.take(self.frames.letters).items():
+            letter, size = self.frames.letters[i], self.unit if i < 3 else DEG
             way = words.ways.get(letter, 'IC' if self.incremental else '')
-            size = self.unit if i < 3 else DEG
-            if way != 'IC':
-                self.placed.add(letter)
             if way == 'IC':
                 target[i] = here[i] + self.shifted[i] + value * size
             else:
                 target[i] = value * size
+                self.placed.add(letter)
             if i >= 3:
                 target[i] = self._turned(float(here[i]), float(target[i]), way)
             self.shifted[i] = 0.0
@@ -278,15 +275,14 @@ class Mover(ModalState):
 
     def extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
         target = self.extra.copy()
-        for letter in self.extra_letters:
-            value = words.values.pop(letter, None)
-            if value is None:
-                continue
+        for number, value in words.take(self.extra_letters).items():
+            letter = self.extra_letters[number]
             i = EXTRA_LETTERS.index(letter)
             way = words.ways.get(letter, 'IC' if self.incremental and not machine else '')
             target[i] = value * self.unit + (target[i] if way == 'IC' else 0.0)
-            if not abs(target[i]) <= FARTHEST:
-                raise self.fault('a coordinate beyond 100,000 mm', f'{letter}{value:g}')
+            self.demand(
+                abs(target[i]) <= FARTHEST, 'a coordinate beyond 100,000 mm', f'{letter}{value:g}'
+            )
         return target
 
     def _turned(self, here: float, angle: float, way: str) -> float:
@@ -318,10 +314,9 @@ class Mover(ModalState):
 
     def machine_target(self, words: BlockWords) -> FloatArray:
         point = self.point.copy()
-        for i, letter in enumerate('XYZ'):
-            if (value := words.values.pop(letter, None)) is not None:
-                self.shifted[i] = 0.0
-                point[i] = value * self.unit - self.zero[i]
+        for i, value in words.take('XYZ').items():
+            self.shifted[i] = 0.0
+            point[i] = value * self.unit - self.zero[i]
         return point
 
     def _rotary_target(self, words: BlockWords, target: FloatArray, machine: bool) -> FloatArray:
@@ -329,10 +324,9 @@ class Mover(ModalState):
             return self.rotary
         rotary = target[3:] + self.frames.rotary_origin
         if machine:
-            for i, letter in enumerate(self.rotary_letters):
-                if (value := words.values.pop(letter, None)) is not None:
-                    rotary[i] = value * DEG
-                    self.named = 1.0
+            for i, value in words.take(self.rotary_letters).items():
+                rotary[i] = value * DEG
+                self.named = 1.0
         elif any(letter in words.texts for letter in self.rotary_letters):
             self.named = 1.0
         return np.asarray(rotary)
@@ -444,30 +438,29 @@ class Mover(ModalState):
         if self.motion is None or self.motion < 2:
             return None
         taken = BlockWords(g=[code for code in words.g if code in ('G2', 'G3')])
-        for letter in ('I', 'J', 'K', 'R', 'P'):
-            if letter in words.values:
-                taken.values[letter] = words.values.pop(letter)
-                taken.ways[letter] = words.ways.get(letter, '')
+        for i, value in words.take('IJKRP').items():
+            taken.values['IJKRP'[i]] = value
+            taken.ways['IJKRP'[i]] = words.ways.get('IJKRP'[i], '')
         return taken if taken.values or self._has_axes(words) else None
 
     def _arc(self, target: FloatArray, words: BlockWords) -> tuple[float, ...]:
         offset, absolute = np.full((1, 3), nan), np.zeros((1, 3), dtype=bool)
         for i, letter in enumerate('IJK'):
             if letter in words.values:
-                offset[0, i] = words.values[letter] * self.unit
                 way = words.ways[letter]
                 absolute[0, i] = way == 'AC' or (self.centre_absolute and way != 'IC')
-                if not absolute[0, i] and not way:
-                    offset[0, i] *= self.centre_sense
+                sense = 1.0 if way or absolute[0, i] else self.centre_sense
+                offset[0, i] = sense * words.values[letter] * self.unit
         radius = words.values.get('R', nan) * self.unit
         if words.values.keys() <= {'P'} and self.dialect is not LINUXCNC:
             offset, radius = self._modal_centre(words, target, offset, radius)
         self.last_centre, self.last_radius = offset, radius
         turns = words.values.get('P', 1.0)
-        if not (turns >= 1.0 and turns == round(turns) and turns <= 500.0):
-            raise self.fault(
-                'the number of turns of an arc must be a whole number, 1 to 500', f'P{turns:g}'
-            )
+        self.demand(
+            turns >= 1.0 and turns == round(turns) and turns <= 500.0,
+            'the number of turns of an arc must be a whole number, 1 to 500',
+            f'P{turns:g}',
+        )
         plane = self._plane_told(target, offset, bool(absolute.any()))
         arcs = self._arcs_to(target, offset, absolute, plane, radius, turns)
         kind = int(arcs.fault[0])
@@ -502,8 +495,11 @@ class Mover(ModalState):
                 'changes evenly',
             )
         centre = self.frames.point(arcs.centre[0])
-        if not self.frames.is_round(*PLANES[plane][:2]):
-            raise self.fault('an arc whose axes have different scales; post it as lines', 'G51')
+        self.demand(
+            self.frames.is_round(*PLANES[plane][:2]),
+            'an arc whose axes have different scales; post it as lines',
+            'G51',
+        )
         normal = self.frames.plane(*PLANES[plane][:2])[:, 2]
         return (*centre, *normal, float(arcs.sweep[0]))
 
@@ -582,12 +578,12 @@ class Mover(ModalState):
         if not self.tcp:
             why = 'a tool direction needs tool-tip programming'
             raise self.fault(f'{why}; write {codes.TCP_ON_WORDS}', 'A3')
-        if any(letter in words.values for letter in self.rotary_letters):
-            raise self.fault('a tool direction and rotary words in one block; keep one of them')
+        self.demand(
+            not any(letter in words.values for letter in self.rotary_letters),
+            'a tool direction and rotary words in one block; keep one of them',
+        )
         if arc_words is None:
-            for letter in 'IJK':
-                words.values.pop(letter, None)
+            words.take('IJK')
         length = float(np.linalg.norm(given))
-        if not length > 1e-6:
-            raise self.fault('the tool direction is zero; correct A3, B3, C3 or I, J, K')
+        self.demand(length > 1e-6, 'the tool direction is zero; correct A3, B3, C3 or I, J, K')
         return np.asarray(self.frames.turn @ (np.array(given) / length))

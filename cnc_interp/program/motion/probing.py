@@ -69,26 +69,22 @@ def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> F
         raise mover.fault('skips on Fanuc; write G38.3', code)
     if code.startswith('MEAS') and mover.motion != 1:
         raise mover.fault('measures along a line; write G1 with it', code)
-    if CODES[code].word not in signals.words:
-        raise mover.fault(NO_PROBE, code)
-    if mover.targets.empty:
-        raise mover.fault('move to a place before the part first', code)
+    mover.demand(CODES[code].word in signals.words, NO_PROBE, code)
+    mover.demand(not mover.targets.empty, 'move to a place before the part first', code)
     here, target = mover.here(), mover.target(words)
-    if np.abs(target[3:] - here[3:]).max(initial=0.0) > 1e-9 * DEG:
+    if np.abs(target[3:] - here[3:]).max(initial=0.0) > 1e-9 * DEG:  # NaN without these axes
         raise mover.fault('probes along X Y Z; turn the rotary axes before', code)
     point: FloatArray = mover.frames.point(target[:3])
-    if not np.linalg.norm(point - mover.point) > SHORTEST:
-        raise mover.fault('leads nowhere; give X, Y or Z', code)
+    mover.demand(
+        np.linalg.norm(point - mover.point) > SHORTEST, 'leads nowhere; give X, Y or Z', code
+    )
     return point
 
 
 def answer(mover: Mover, answered: bool) -> dict[int, float]:
-    found = {ANSWERED: float(answered)}
-    letters = ('X', 'Y', 'Z', *mover.rotary_letters)
-    for letter, value in zip(letters, mover.here().tolist(), strict=False):
-        number = 'XYZABC'.index(letter)
-        found[PLACE + number] = value / (mover.unit if number < 3 else DEG)
-    return found
+    place = mover.in_words(mover.here())
+    found = {PLACE + 'XYZABC'.index(letter): value for letter, value in place.items()}
+    return {ANSWERED: float(answered), **found}
 
 
 NAMES = ('surface', 'edge', 'bore', 'boss', 'angle', 'tool')

@@ -17,24 +17,35 @@ def cut_thread(mover: Mover, words: BlockWords) -> None:
     Pass n cuts J n^(1/R) deep, and enters by as much along Z as the angle Q asks for.
     """
     values, unit = words.values, mover.unit
-    if mover.plane != 'G18':
-        raise mover.fault('cuts along Z, away from X; write G18 before', CODE)
+    mover.demand(mover.plane == 'G18', 'cuts along Z, away from X; write G18 before', CODE)
     if missing := [letter for letter in 'PZIJK' if letter not in values]:
         raise mover.fault(f'needs {" ".join(missing)}', CODE)
     values.pop('E', None)
-    if values.pop('L', 0.0) != 0.0:
-        raise mover.fault('has no tapers here; write L0, and let it run out into a groove', CODE)
+    mover.demand(
+        values.pop('L', 0.0) == 0.0,
+        'has no tapers here; write L0, and let it run out into a groove',
+        CODE,
+    )
     end = mover.target(
         BlockWords(values={'Z': values.pop('Z')}, ways=words.ways, texts=words.texts)
     )[:3]
     pitch, crest, first, full = (values.pop(letter) * unit for letter in 'PIJK')
     slower, angle, springs = (values.pop(letter, least) for letter, least in zip('RQH', (1, 0, 0)))
-    if not pitch > 0.0 or crest == 0.0 or not 0.0 < first < full:
-        raise mover.fault('needs P above 0, I, and J above 0 and below K', CODE)
-    if slower < 1.0 or not 0.0 <= angle <= 80.0 or springs not in range(MOST_PASSES):
-        raise mover.fault('needs R from 1, Q from 0 to 80 and H a whole number', CODE)
-    if (full / first) ** slower > MOST_PASSES:
-        raise mover.fault(f'J and R make more than {MOST_PASSES} passes; cut deeper', CODE)
+    mover.demand(
+        pitch > 0.0 and crest != 0.0 and 0.0 < first < full,
+        'needs P above 0, I, and J above 0 and below K',
+        CODE,
+    )
+    mover.demand(
+        slower >= 1.0 and 0.0 <= angle <= 80.0 and springs in range(MOST_PASSES),
+        'needs R from 1, Q from 0 to 80 and H a whole number',
+        CODE,
+    )
+    mover.demand(
+        (full / first) ** slower <= MOST_PASSES,
+        f'J and R make more than {MOST_PASSES} passes; cut deeper',
+        CODE,
+    )
     here, cuts = mover.here()[:3], [first]
     while (cut := first * (len(cuts) + 1) ** (1.0 / slower)) < full and not isclose(cut, full):
         cuts.append(cut)

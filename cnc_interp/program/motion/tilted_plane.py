@@ -29,7 +29,8 @@ BY_AXES, SOLID, PROJECTED, DIRECT = range(4)  #: Kinds of angles of CYCLE800.
 
 class TiltedPlane:
     def __init__(self, mover: Mover):
-        self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
+        self._mover, self.notice = mover, mover.notice
+        self.fault, self.demand = mover.fault, mover.demand
         #: Points, or directions, of a plane that takes several blocks (P2, P3), by their number.
         self.parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
 
@@ -57,8 +58,7 @@ class TiltedPlane:
             self._along_tool(origin, named, self._angle(words, 'R'))
             return
         form = words.values.pop('P', 0.0)
-        if form not in range(5):
-            raise self.fault('P must be a whole number, 0 to 4', words.texts['P'])
+        self.demand(form in range(5), 'P must be a whole number, 0 to 4', words.texts.get('P', ''))
         if form in (2, 3):
             self._collect(int(form), code, origin, words)
             return
@@ -92,8 +92,11 @@ class TiltedPlane:
 
     def _collect(self, form: int, code: str, origin: FloatArray, words: BlockWords) -> None:
         part = words.values.pop('Q', 0.0)
-        if part not in range(4 if form == 2 else 3):
-            raise self.fault('Q must be the number of the point or direction', f'Q{part:g}')
+        self.demand(
+            part in range(4 if form == 2 else 3),
+            'Q must be the number of the point or direction',
+            f'Q{part:g}',
+        )
         direction = self._take(words, 'IJK', 1.0)
         if part in self.parts:
             self.parts.clear()  # another definition begins
@@ -108,10 +111,11 @@ class TiltedPlane:
         elif form == 3 and len(self.parts) == 2:
             (origin, along, angle), (_, normal, _) = (self.parts[k] for k in sorted(self.parts))
             lengths = float(np.linalg.norm(along) * np.linalg.norm(normal))
-            if abs(along @ normal) > SMALL * lengths:
-                raise self.fault(
-                    'X and Z of the plane are not at right angles; correct I J K', code
-                )
+            self.demand(
+                abs(along @ normal) <= SMALL * lengths,
+                'X and Z of the plane are not at right angles; correct I J K',
+                code,
+            )
             self._set(code, origin, self.plane_of(along, normal), angle)
 
     def plane_of(self, along: FloatArray, normal: FloatArray) -> FloatArray:
@@ -121,10 +125,10 @@ class TiltedPlane:
 
     def _unit(self, direction: FloatArray) -> FloatArray:
         length = float(np.linalg.norm(direction))
-        if not length > SMALL * self._mover.unit:
-            raise self.fault(
-                'these words give no plane; its points lie on one line, or a direction is zero'
-            )
+        self.demand(
+            length > SMALL * self._mover.unit,
+            'these words give no plane; its points lie on one line, or a direction is zero',
+        )
         return np.asarray(direction / length)
 
     def _along_tool(self, origin: FloatArray, named: set[str], angle: float) -> None:
@@ -154,16 +158,14 @@ class TiltedPlane:
     def _turn_in_plane(self, words: BlockWords) -> None:
         """Process G68: turn the program coordinates about a point, or about I J K in space."""
         mover, frames = self._mover, self._mover.frames
-        if 'R' not in words.values:
-            raise self.fault('give the angle R', 'G68')
+        self.demand('R' in words.values, 'give the angle R', 'G68')
         angle, here = self._angle(words, 'R'), mover.here()[:3]
         axis = np.eye(3)[PLANES[mover.plane][2]]
         if any(letter in words.values for letter in 'IJK'):
             axis = self._unit(self._take(words, 'IJK', 1.0))
         centre = here.copy()
-        for i, letter in enumerate('XYZ'):
-            if letter in words.values:
-                centre[i] = words.values.pop(letter) * mover.unit
+        for i, value in words.take('XYZ').items():
+            centre[i] = value * mover.unit
         x, y, z = axis
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         # Rodrigues' formula.
@@ -179,8 +181,7 @@ class TiltedPlane:
     def _orient(self, code: str, words: BlockWords) -> None:
         """Process G53.1, G53.3, G53.6, in a rapid; P1: tilting axis above zero, P2: below."""
         choice = words.values.pop('P', 0.0)
-        if choice not in (0.0, 1.0, 2.0):
-            raise self.fault('P must be 0, 1 or 2', words.texts['P'])
+        self.demand(choice in (0.0, 1.0, 2.0), 'P must be 0, 1 or 2', words.texts.get('P', ''))
         if not self._mover.frames.rotated and code != 'G53.3':
             self.notice(code, 'the frame is not tilted')
         self.stand_up(code, int(choice), words)
@@ -208,10 +209,11 @@ class TiltedPlane:
         """Return rotary positions; an axis that any position does stays, or lays X along X."""
         mover, (along, _, normal) = self._mover, self._mover.frames.turn.T
         if not mover.rotary_letters:
-            if normal[2] < 1.0 - SMALL:
-                raise self.fault(
-                    'the tool cannot be turned; this machine has no rotary axes', code
-                )
+            self.demand(
+                normal[2] >= 1.0 - SMALL,
+                'the tool cannot be turned; this machine has no rotary axes',
+                code,
+            )
             return mover.rotary
         geometry, low, high = mover.geometry, *mover.geometry.machine.travel[3:5].T
         tilting = 1 - geometry.outer
@@ -226,11 +228,11 @@ class TiltedPlane:
             near = near + 2.0 * pi * np.ceil(np.maximum(low - near, 0.0) / (2.0 * pi) - SMALL)
             if np.all((near >= low - SMALL) & (near <= high + SMALL)):
                 found.append(np.clip(near, low, high))
-        if not found:
-            raise self.fault(
-                'the machine cannot reach the tool axis of the plane; choose another clamping',
-                code,
-            )
+        self.demand(
+            found,
+            'the machine cannot reach the tool axis of the plane; choose another clamping',
+            code,
+        )
         sign = (0.0, 1.0, -1.0)[choice]
         wanted = [pair for pair in found if sign * pair[tilting] >= -SMALL]
         if not wanted:
@@ -240,8 +242,11 @@ class TiltedPlane:
     def swivel(self, given: Sequence[float | None], words: BlockWords) -> None:
         values = [value or 0.0 for value in given] + [0.0] * (DIRECTION + 1)
         state, direction = int(values[STATE]), values[DIRECTION]
-        if direction not in (-1.0, 1.0):
-            raise self.fault('the direction must be 1 or -1; a frame alone is ROT', 'CYCLE800')
+        self.demand(
+            direction in (-1.0, 1.0),
+            'the direction must be 1 or -1; a frame alone is ROT',
+            'CYCLE800',
+        )
         if values[0]:
             self.notice('CYCLE800', 'no retract; move the tool away in a block before')
         turn = self._swivelled(int(values[MODE]), np.array(values[ANGLES]) * DEG)
@@ -254,24 +259,24 @@ class TiltedPlane:
     def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
         """Return the rotation, (3, 3); ``mode``: kind, then axes in two bits, the last first."""
         kind, axes = mode >> 6, [(mode >> shift & 3) - 1 for shift in (0, 2, 4)]
-        if kind == DIRECT:
-            raise self.fault(
-                'positions of rotary axes give no plane here; turn the axes by G0, '
-                'then write G68.3',
-                'CYCLE800',
-            )
+        self.demand(
+            kind != DIRECT,
+            'positions of rotary axes give no plane here; turn the axes by G0, then write G68.3',
+            'CYCLE800',
+        )
         if kind == SOLID:
-            if angles[2]:
-                raise self.fault('solid angles are two; leave the third one at 0', 'CYCLE800')
+            self.demand(
+                not angles[2], 'solid angles are two; leave the third one at 0', 'CYCLE800'
+            )
             return np.asarray(rotation(2, angles[0]) @ rotation(1, angles[1]))
         if kind == PROJECTED and sorted(axes[:2]) == [0, 1]:
             return self._projected(angles[[axes.index(1), axes.index(0), 2]])
-        if kind != BY_AXES or sorted(axes) != [0, 1, 2]:
-            raise self.fault(
-                'give the angles axis by axis (mode 27, 30, 39, 45, 54 or 57), as solid angles '
-                '(64) or projected on X and Y (182, 185)',
-                'CYCLE800',
-            )
+        self.demand(
+            kind == BY_AXES and sorted(axes) == [0, 1, 2],
+            'give the angles axis by axis (mode 27, 30, 39, 45, 54 or 57), as solid angles '
+            '(64) or projected on X and Y (182, 185)',
+            'CYCLE800',
+        )
         turn = np.eye(3)
         for axis, angle in zip(axes, angles, strict=True):
             turn = turn @ rotation(axis, angle)

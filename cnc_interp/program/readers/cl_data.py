@@ -1,9 +1,12 @@
 """CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors."""
 
+from __future__ import annotations
+
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from math import inf, nan, pi, sqrt
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -70,6 +73,12 @@ def _numbers_of(minor: str) -> list[float]:
 def _moves(minor: str) -> bool:
     numbers = _numbers_of(minor)
     return any(numbers) or not numbers
+
+
+class Statement(NamedTuple):
+    major: str
+    minor: str
+    text: str
 
 
 class ClReader:
@@ -170,6 +179,12 @@ class ClReader:
     ) -> ProgramError:
         return ProgramError(message, self.source.name, self.line_number, word[:40], depends_on)
 
+    def _demand(
+        self, holds: object, message: str, word: str = '', depends_on: DependsOn = DependsOn.LINE
+    ) -> None:
+        if not holds:
+            raise self._fault(message, word, depends_on)
+
     def _notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.line_number, f'{key}: {text}')
 
@@ -251,8 +266,7 @@ class ClReader:
         return i / length, j / length, k / length
 
     def _other(self, statement: str) -> None:
-        if statement == _UNENDED:
-            raise self._fault('the file ends inside a continued statement ($)')
+        self._demand(statement != _UNENDED, 'the file ends inside a continued statement ($)')
         match = _STATEMENT.fullmatch(statement)
         if match is None:
             raise self._fault('not a CL statement; write MAJOR/minor', statement.split()[0])
@@ -261,99 +275,98 @@ class ClReader:
             self._outputs[major] = statement
             if self._switch(major, minor):
                 return
-        if major == 'GOTO':
-            raise self._fault('expected three numbers, or six with the tool axis', statement)
         if major in cl_words.REFUSED and not _ALONG_ARC.fullmatch(statement):
             raise self._fault(cl_words.REFUSED[major], major)
         if major in cl_words.OFF_ONLY and minor not in cl_words.OFF and _moves(minor):
             raise self._fault(cl_words.OFF_ONLY[major], statement)
         if statement.startswith(cl_words.TEXT):
             return
-        if major in ('TLON', 'GOFWD') and (arc := _ALONG_ARC.fullmatch(statement)):
-            self._along_arc([float(word) for word in arc.groups()])
-            return
-        if major == 'FROM':
-            self._from(minor)
-        elif major == 'RAPID':
-            self.rapid = True
-            self._leave_circle()
-        elif major == 'FEDRAT':
-            self._leave_circle()
-            self._feed(minor, statement)
-        elif major in ('UNITS', 'UNIT'):
-            if minor not in cl_words.LENGTH_UNITS:
-                raise self._fault('unknown unit; write UNITS/MM or UNITS/INCHES', statement)
-            self.unit = cl_words.LENGTH_UNITS[minor]
-        elif major == 'TLAXIS':
-            self.axis = self._unit_vector(self._numbers(minor, 3, 'write TLAXIS/i,j,k'), major)
-        elif major == 'GODLTA':
-            delta = self._frames.direction(self._numbers(minor, 3, 'write GODLTA/dx,dy,dz'))
-            if self.targets.empty:
-                raise self._fault(
-                    'an incremental move before the first point; write FROM or GOTO first', major
-                )
-            self._go(*(at + d * self.unit for at, d in zip(self._point, delta, strict=True)))
-        elif major == 'CIRCLE':
-            self._begin_circle(minor)
-        elif major == 'INDIRV':
-            heading = self._numbers(minor, 3, 'write INDIRV/i,j,k')
-            self._heading = self._frames.direction(heading)
-        elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT', 'CLEAR'):
-            self._cycle = cl_words.cycle_of(minor, self.unit, self._fault)
-            if self._cycle.rests and 'G4' not in self._signals.words:
-                self._notice(major, codes.DWELL)
-        elif major == 'CYCLE':
-            self._cycle = None
-        elif major == 'CUTCOM':
-            self._notice(
-                major,
-                'the points are tool tips, as CL data have them; the wear of the '
-                'cutter is not compensated',
-            )
-        elif major in cl_words.STOPS:
-            kind, text = cl_words.STOPS[major]
-            if kind > 1.0:
-                self.targets.program_stop()
-            if self.targets.stands:
-                self.targets.waits_first |= kind == AT_M0
-                text = codes.WAITS_FIRST if kind == AT_M0 else codes.NOT_YET
-            else:
-                self.targets.stop_here(kind)
-            self._notice(major, text)
-        elif major in ('MSYS', 'CSYS') and (system := system_of(_numbers_of(minor))) is not None:
-            if self._system and moves(system):
-                raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
-            if self._frames.enter(system):
-                self._notice(
-                    f'WARNING: {major}',
-                    'points of another coordinate system are taken '
-                    'into the first one; the part must stay clamped',
-                )
-        elif major in ('MSYS', 'CSYS'):
-            if self._system not in ('', minor):
-                raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
-            self._system = minor
-        elif major == 'TRACUT':
-            off = minor in cl_words.OFF or not _moves(minor)
-            minor = re.sub(r'^MATRIX\s*/|[()\s]', '', minor)
-            if (system := system_of(_numbers_of(IDENTITY if off else minor))) is None:
-                raise self._fault('these numbers are no coordinate system', major)
-            self._frames.cut(system)
-        elif major == 'INDEX' and minor.isdigit():
-            self._frames.index(int(minor))
-        elif major == 'COPY':
-            if not self._frames.copy(minor, self._statement):
-                raise self._fault(
-                    'write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, XYROT', major
-                )
+        if act := self._ACTS.get(major):
+            act(self, Statement(major, minor, statement))
         elif major.startswith(cl_words.INFORMATION):
             self._notice(cl_words.INFORMATION, 'information of the CAM system, no effect')
         elif major in cl_words.NO_OUTPUT and minor not in cl_words.OFF:
             self._notice(major, cl_words.NO_OUTPUT[major])
-        elif major in cl_words.HARMLESS or major in cl_words.OFF_ONLY:
-            self._notice(major, 'no effect, it does not move the tool')
+        elif major in cl_words.NOTICES:
+            self._notice(major, cl_words.NOTICES[major])
         elif major not in cl_words.SILENT:
             raise self._fault(cl_words.UNKNOWN, major)
+
+    def _refuse_point(self, said: Statement) -> None:
+        raise self._fault('expected three numbers, or six with the tool axis', said.text)
+
+    def _begin_rapid(self, _: Statement) -> None:
+        self.rapid = True
+        self._leave_circle()
+
+    def _set_unit(self, said: Statement) -> None:
+        known = said.minor in cl_words.LENGTH_UNITS
+        self._demand(known, 'unknown unit; write UNITS/MM or UNITS/INCHES', said.text)
+        self.unit = cl_words.LENGTH_UNITS[said.minor]
+
+    def _set_axis(self, said: Statement) -> None:
+        numbers = self._numbers(said.minor, 3, 'write TLAXIS/i,j,k')
+        self.axis = self._unit_vector(numbers, said.major)
+
+    def _go_on_by(self, said: Statement) -> None:
+        delta = self._frames.direction(self._numbers(said.minor, 3, 'write GODLTA/dx,dy,dz'))
+        self._demand(
+            not self.targets.empty,
+            'an incremental move before the first point; write FROM or GOTO first',
+            said.major,
+        )
+        self._go(*(at + d * self.unit for at, d in zip(self._point, delta, strict=True)))
+
+    def _set_heading(self, said: Statement) -> None:
+        heading = self._numbers(said.minor, 3, 'write INDIRV/i,j,k')
+        self._heading = self._frames.direction(heading)
+
+    def _set_cycle(self, said: Statement) -> None:
+        ends = said.minor in (*cl_words.OFF, 'INIT', 'CLEAR')
+        self._cycle = None if ends else cl_words.cycle_of(said.minor, self.unit, self._fault)
+        if self._cycle and self._cycle.rests and 'G4' not in self._signals.words:
+            self._notice(said.major, codes.DWELL)
+
+    def _stop(self, said: Statement) -> None:
+        kind, text = cl_words.STOPS[said.major]
+        if kind > 1.0:
+            self.targets.program_stop()
+        if self.targets.stands:
+            self.targets.waits_first |= kind == AT_M0
+            text = codes.WAITS_FIRST if kind == AT_M0 else codes.NOT_YET
+        else:
+            self.targets.stop_here(kind)
+        self._notice(said.major, text)
+
+    def _enter_system(self, said: Statement) -> None:
+        """Enter a system by its numbers, or by a name that does not tell where it lies."""
+        system = system_of(_numbers_of(said.minor))
+        other = self._system != said.minor if system is None else moves(system)
+        self._demand(not (self._system and other), cl_words.OFF_ONLY['ORIGIN'], said.major)
+        if system is None:
+            self._system = said.minor
+        elif self._frames.enter(system):
+            self._notice(
+                f'WARNING: {said.major}',
+                'points of another coordinate system are taken '
+                'into the first one; the part must stay clamped',
+            )
+
+    def _cut_into(self, said: Statement) -> None:
+        off = said.minor in cl_words.OFF or not _moves(said.minor)
+        numbers = IDENTITY if off else re.sub(r'^MATRIX\s*/|[()\s]', '', said.minor)
+        if (system := system_of(_numbers_of(numbers))) is None:
+            raise self._fault('these numbers are no coordinate system', said.major)
+        self._frames.cut(system)
+
+    def _index(self, said: Statement) -> None:
+        self._demand(said.minor.isdigit(), cl_words.UNKNOWN, said.major)
+        self._frames.index(int(said.minor))
+
+    def _copy(self, said: Statement) -> None:
+        if not self._frames.copy(said.minor, self._statement):
+            text = 'write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, XYROT'
+            raise self._fault(text, said.major)
 
     def _switch(self, major: str, minor: str) -> bool:
         words, given = cl_words.machine_words(major, minor)
@@ -368,19 +381,19 @@ class ClReader:
 
     def _numbers(self, minor: str, count: int, remedy: str) -> list[float]:
         numbers = _numbers_of(minor)
-        if len(numbers) != count:
-            raise self._fault(remedy, minor)
+        self._demand(len(numbers) == count, remedy, minor)
         return numbers
 
-    def _begin_circle(self, minor: str) -> None:
+    def _begin_circle(self, said: Statement) -> None:
         remedy = f'write CIRCLE/x,y,z,i,j,k,r; {cl_words.LINEAR}'
-        numbers = _numbers_of(minor)
+        numbers = _numbers_of(said.minor)
         if len(numbers) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
             raise self._fault(remedy, 'CIRCLE')
         if self._frames.is_moved:
             numbers[:3] = self._frames.point(numbers[:3]).tolist()
-        if self.targets.empty:
-            raise self._fault('a circle before the first point; write FROM or GOTO', 'CIRCLE')
+        self._demand(
+            not self.targets.empty, 'a circle before the first point; write FROM or GOTO', 'CIRCLE'
+        )
         normal, here = np.array(self._unit_vector(numbers[3:6], 'CIRCLE')), np.array(self._point)
         circle = _Circle(np.array(numbers[:3]) * self.unit, normal, 0.0)
         circle.radius = numbers[6] * self.unit if len(numbers) > 6 else circle.off(here)
@@ -389,17 +402,20 @@ class ClReader:
             raise self._fault(
                 'a circle beyond 100,000 mm, or with a radius of zero; correct it', 'CIRCLE'
             )
-        if not off <= arcs.allowed_mismatch(np.array(circle.radius)):
-            raise self._fault(
-                f'the tool is {off / self.unit:.4g} away from this circle; correct '
-                'the circle or the point before',
-                'CIRCLE',
-                DependsOn.PLACE,
-            )
+        self._demand(
+            off <= arcs.allowed_mismatch(np.array(circle.radius)),
+            f'the tool is {off / self.unit:.4g} away from this circle; correct '
+            'the circle or the point before',
+            'CIRCLE',
+            DependsOn.PLACE,
+        )
         self._circle = circle
 
-    def _along_arc(self, numbers: list[float]) -> None:
+    def _along_arc(self, said: Statement) -> None:
         """Process TLON,GOFWD/(CIRCLE/x,y,z,r),ON,..(LINE/..,end): an arc that INDIRV sets off."""
+        arc = _ALONG_ARC.fullmatch(said.text)
+        assert arc is not None  # others are refused
+        numbers = [float(word) for word in arc.groups()]
         centre, end = (
             self._frames.point(place) * self.unit for place in (numbers[:3], numbers[-3:])
         )
@@ -407,11 +423,11 @@ class ClReader:
             raise self._fault('the direction of the arc is missing; write INDIRV before', 'GOFWD')
         axis = np.array(self.axis)
         turn = float(axis @ np.cross(np.array(self._point) - centre, self._heading))
-        if turn == 0.0:
-            raise self._fault('INDIRV points at the centre of the arc; correct it', 'GOFWD')
+        self._demand(turn != 0.0, 'INDIRV points at the centre of the arc; correct it', 'GOFWD')
         normal = axis * np.copysign(1.0, turn)
         words = [*(centre / self.unit), *normal, numbers[3]]
-        self._begin_circle(','.join(f'{word:.12f}' for word in words))
+        circle = ','.join(f'{word:.12f}' for word in words)
+        self._begin_circle(Statement('CIRCLE', circle, said.text))
         self._go(*end)
         self._circle = self._heading = None
 
@@ -443,23 +459,46 @@ class ClReader:
         circle.turned += angle
         return (*circle.centre, *circle.normal, angle)
 
-    def _from(self, minor: str) -> None:
-        match = _GOTO.fullmatch('GOTO/' + minor)
+    def _begin_at(self, said: Statement) -> None:
+        match = _GOTO.fullmatch('GOTO/' + said.minor)
         if match is None:
-            raise self._fault('expected three numbers, or six with the tool axis', f'FROM/{minor}')
+            text = 'expected three numbers, or six with the tool axis'
+            raise self._fault(text, f'FROM/{said.minor}')
         if self.targets.empty:
             self._goto(match.groups())
 
-    def _feed(self, minor: str, statement: str) -> None:
-        words = minor.replace(',', ' ').split()
+    def _set_feed(self, said: Statement) -> None:
+        self._leave_circle()
+        words = said.minor.replace(',', ' ').split()
         numbers = [word for word in words if re.fullmatch(_NUMBER, word)]
         units = [word for word in words if word not in numbers]
-        if any(word in ('MMPR', 'IPR', 'PERREV') for word in units):
-            raise self._fault('feed per revolution is not supported yet; use MMPM', statement)
+        self._demand(
+            not any(word in ('MMPR', 'IPR', 'PERREV') for word in units),
+            'feed per revolution is not supported yet; use MMPM',
+            said.text,
+        )
         if len(numbers) != 1 or any(word not in cl_words.FEED_UNITS for word in units):
-            raise self._fault('write FEDRAT/value,MMPM or FEDRAT/value,IPM', statement)
+            raise self._fault('write FEDRAT/value,MMPM or FEDRAT/value,IPM', said.text)
         value = float(numbers[0])
-        if not 0.0 < value < inf:
-            raise self._fault('the feedrate must be greater than zero', statement)
+        self._demand(0.0 < value < inf, 'the feedrate must be greater than zero', said.text)
         unit = (cl_words.FEED_UNITS[units[0]] if units else 0.0) or self.unit
         self.feedrate = value * unit / MINUTE
+
+    _ACTS: ClassVar[dict[str, Callable[[ClReader, Statement], None]]] = {
+        'GOTO': _refuse_point,
+        'FROM': _begin_at,
+        'RAPID': _begin_rapid,
+        'FEDRAT': _set_feed,
+        **dict.fromkeys(('UNITS', 'UNIT'), _set_unit),
+        'TLAXIS': _set_axis,
+        'GODLTA': _go_on_by,
+        'CIRCLE': _begin_circle,
+        'INDIRV': _set_heading,
+        **dict.fromkeys(('TLON', 'GOFWD'), _along_arc),
+        'CYCLE': _set_cycle,
+        **dict.fromkeys(cl_words.STOPS, _stop),
+        **dict.fromkeys(('MSYS', 'CSYS'), _enter_system),
+        'TRACUT': _cut_into,
+        'INDEX': _index,
+        'COPY': _copy,
+    }

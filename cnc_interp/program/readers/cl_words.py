@@ -59,6 +59,14 @@ HARMLESS = {
     'TRNTYP',
     'TURRET',
 }
+_FRAME = 'changing the coordinate system is not supported; output one workpiece frame'
+#: Words that are refused unless they switch something off or contain only zeros.
+OFF_ONLY = {'ORIGIN': _FRAME, 'TRANS': _FRAME}
+NOTICES = {
+    **dict.fromkeys((*HARMLESS, *OFF_ONLY), 'no effect, it does not move the tool'),
+    'CUTCOM': 'the points are tool tips, as CL data have them; the wear of the cutter is not '
+    'compensated',
+}
 INFORMATION = 'CSI_'  #: Words with this beginning are information of a CAM system.
 #: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
 OUTPUTS = {'COOLNT', 'DELAY', 'DWELL', 'LOADTL', 'SPINDL', 'TOOLNO'}
@@ -70,7 +78,6 @@ STOPS = {
     'DWELL': (1.0, codes.DWELL),
 }
 LINEAR = 'output the tool path as GOTO points'
-_FRAME = 'changing the coordinate system is not supported; output one workpiece frame'
 _DRIVEN = f'motion along part surfaces is not supported; {LINEAR}'
 REFUSED = {
     **dict.fromkeys(
@@ -101,8 +108,6 @@ REFUSED = {
         _DRIVEN,
     ),
 }
-#: Words that are refused unless they switch something off or contain only zeros.
-OFF_ONLY = {'ORIGIN': _FRAME, 'TRANS': _FRAME}
 OFF = {'', 'OFF', 'NOMORE'}
 UNKNOWN = 'unknown word; write $$ before it if it does not move the tool'
 LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}

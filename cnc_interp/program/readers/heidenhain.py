@@ -3,6 +3,7 @@
 import re
 from cmath import exp, phase
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 
@@ -50,8 +51,6 @@ _SETTING = {
     392: 'the tuning has no effect',
 }
 _CONDITIONS = {9: '==', 10: '<>', 11: '>', 12: '<'}  #: Of FN 9 to FN 12.
-#: Words that move nothing.
-_IDLE = re.compile(r'(?:BEGIN PGM|BLK FORM|TOOL DEF|\*|PRINT|STRUCTURE)')
 _IDLE_M = {
     'M94',
     'M97',
@@ -89,6 +88,10 @@ _REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M144', 'M150'}
 _SIDES, _SAME = {1.0: (-1, 0), 2.0: (0, -1), 3.0: (1, 0), 4.0: (0, 1)}, 1e-9
 #: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
+
+
+#: A form of a line, and what it does.
+_Form = tuple[re.Pattern[str], Callable[['HeidenhainReader', re.Match[str]], None]]
 
 
 class HeidenhainReader(ProgramReader):
@@ -130,10 +133,14 @@ class HeidenhainReader(ProgramReader):
                 return
             self.defining = False
             self.in_flow = True
-            passed = self._flow(line)
+            passed = self._passes(line, self._FLOW)
             self.in_flow = False
-            if not passed:
-                self._statement(line)
+            if not passed and not self._passes(line, self._STATEMENTS):
+                raise self.fault(
+                    'this word of Heidenhain is not supported; post it as L and C',
+                    line[:20],
+                    DependsOn.LINE,
+                )
         except ExpressionError as problem:
             raise self.fault(str(problem), line[:20]) from None
 
@@ -148,33 +155,33 @@ class HeidenhainReader(ProgramReader):
                 'not a number; write digits with one point, as 0.5', text, DependsOn.LINE
             ) from None
 
-    def _assign(self, line: str) -> bool:
-        if match := _SET.fullmatch(line):
-            rapid = self.defining and match[2] in ('MAX', 'FMAX')
-            self.variables.set_name(match[1], np.inf if rapid else self._value(match[2]))
-        return match is not None
+    def _passes(self, line: str, forms: tuple[_Form, ...]) -> bool:
+        """Execute a line that has one of some forms; False if it has none of them."""
+        for pattern, act in forms:
+            if match := pattern.fullmatch(line):
+                act(self, match)
+                return True
+        return False
 
-    def _flow(self, line: str) -> bool:
-        flow = self.flow
-        if match := _LABEL.fullmatch(line):
-            if match[1] == '0' and flow.depth:
-                flow.leave()
-        elif match := _CALL.fullmatch(line):
-            self._call(match[1], match[2])
-        elif match := _CALL_FILE.fullmatch(line):
-            flow.call_file(match[1], 1)
-        elif match := _FN.fullmatch(line):
-            self._function(int(match[1]), match[2])
-        elif self._assign(line):
-            pass
-        elif line.startswith('END PGM'):
-            if flow.depth and flow.source is not flow.main:
-                flow.leave()
-            else:
-                flow.ended = self.at.finished = True
+    def _assign(self, line: str) -> bool:
+        return self._passes(line, ((_SET, HeidenhainReader._set),))
+
+    def _set(self, match: re.Match[str]) -> None:
+        rapid = self.defining and match[2] in ('MAX', 'FMAX')
+        self.variables.set_name(match[1], np.inf if rapid else self._value(match[2]))
+
+    def _pass_label(self, match: re.Match[str]) -> None:
+        if match[1] == '0' and self.flow.depth:
+            self.flow.leave()
+
+    def _call_file(self, match: re.Match[str]) -> None:
+        self.flow.call_file(match[1], 1)
+
+    def _end(self, _: re.Match[str]) -> None:
+        if self.flow.depth and self.flow.source is not self.flow.main:
+            self.flow.leave()
         else:
-            return False
-        return True
+            self.flow.ended = self.at.finished = True
 
     def _pattern(self, label: str) -> bytes:
         number = rb'0*%d(?!\d)' % int(label) if label.isdigit() else re.escape(label.encode())
@@ -188,8 +195,8 @@ class HeidenhainReader(ProgramReader):
             raise self.fault('no such label; correct it', f'LBL {label}')
         return place
 
-    def _call(self, label: str, repeats: str | None) -> None:
-        flow = self.flow
+    def _call(self, match: re.Match[str]) -> None:
+        flow, (label, repeats) = self.flow, match.groups()
         if repeats is None:
             flow.call(f'LBL {label}', self._pattern(label), 1, {}, own_variables=False)
             return
@@ -203,13 +210,14 @@ class HeidenhainReader(ProgramReader):
         else:
             flow.loops.pop()
 
-    def _function(self, number: int, rest: str) -> None:
+    def _function(self, match: re.Match[str]) -> None:
+        number, rest = int(match[1]), match[2]
         if sign := _CONDITIONS.get(number):
-            match = _JUMP.fullmatch(rest)
-            if match is None:
+            jump = _JUMP.fullmatch(rest)
+            if jump is None:
                 raise self.fault('write IF +Q1 EQU +Q2 GOTO LBL 1', f'FN {number}')
-            if OPERATORS[sign](self._value(match[1]), self._value(match[3])):
-                place = self._label(match[4])
+            if OPERATORS[sign](self._value(jump[1]), self._value(jump[3])):
+                place = self._label(jump[4])
                 self.flow.loops.clear()
                 self.flow.back_or_on(place)
         elif number > 13 or not self._assign(rest):
@@ -217,41 +225,37 @@ class HeidenhainReader(ProgramReader):
                 'only FN 0 to FN 13 without SYSREAD are supported', f'FN {number}', DependsOn.LINE
             )
 
-    def _statement(self, line: str) -> None:
-        if line.startswith('BEGIN PGM'):
-            self.mover.unit = INCH if re.search(r'\bIN(?:CH)?$', line) else MM
-        elif match := _CYCLE.fullmatch(line):
-            self._define_cycle(int(match[1]), match[2], match[3])
-        elif match := _TOOL_CALL.fullmatch(line):
-            self._tool_call(match[2], match[3] or 'Z', match[4], (match[1] or '').strip('"'))
-        elif match := _PLANE.fullmatch(line):
-            self._tilt(match[1], match[2])
-        elif _IDLE.match(line):
-            return
-        elif match := re.fullmatch(r'STOP\s*(.*)', line):
-            self._motion('L', match[1], stop='M0')
-        elif match := re.fullmatch(r'CYCL\s+CALL\s*(?:POS)?\s*(.*)', line):
-            self._motion('L', match[1])
-            self._drill()
-        elif match := re.fullmatch(r'FUNCTION\s+(RESET\s+)?TCPM\b(.*)', line):
-            if not match[1] and 'SPAT' in match[2]:
-                raise self.fault(
-                    'angles in space are not supported; post with AXIS POS', 'TCPM', DependsOn.LINE
-                )
-            self.execute(BlockWords(m=['M129' if match[1] else 'M128']))
-        elif match := _CORNER.fullmatch(line):
-            if self.mover.held is None:  # the line before has looked for it
-                raise self.fault('stands between two lines, L or LP, in the plane', match[1])
-        elif match := re.fullmatch(r'(LN|LP|L|CC|CP|CR|CT|C)(?![A-Z])\s*(.*)', line):
-            self._motion(match[1], match[2])
-        elif re.match(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$))', line):
-            self._motion('L', line)  # a line along one axis, or without motion
-        else:
+    def _begin(self, match: re.Match[str]) -> None:
+        self.mover.unit = INCH if match[1] else MM
+
+    def _idle(self, _: re.Match[str]) -> None:
+        """Pass a line that moves nothing."""
+
+    def _stop(self, match: re.Match[str]) -> None:
+        self._move('L', match[1], stop='M0')
+
+    def _call_cycle(self, match: re.Match[str]) -> None:
+        self._move('L', match[1])
+        self._drill()
+
+    def _switch_tcp(self, match: re.Match[str]) -> None:
+        if not match[1] and 'SPAT' in match[2]:
             raise self.fault(
-                'this word of Heidenhain is not supported; post it as L and C',
-                line[:20],
-                DependsOn.LINE,
+                'angles in space are not supported; post with AXIS POS', 'TCPM', DependsOn.LINE
             )
+        self.execute(BlockWords(m=['M129' if match[1] else 'M128']))
+
+    def _corner(self, match: re.Match[str]) -> None:
+        # The line before has looked for it.
+        held = self.mover.held is not None
+        self.demand(held, 'stands between two lines, L or LP, in the plane', match[1])
+
+    def _motion(self, match: re.Match[str]) -> None:
+        self._move(match[1], match[2])
+
+    def _line(self, match: re.Match[str]) -> None:
+        """Process a line along one axis, or without motion."""
+        self._move('L', match[0])
 
     def _words(self, text: str) -> tuple[dict[str, float], list[str], str]:
         values: dict[str, float] = {}
@@ -275,7 +279,7 @@ class HeidenhainReader(ProgramReader):
                 values[match['name']] = self._value(match['value'].replace(' ', ''))
         return values, found, turn
 
-    def _motion(self, kind: str, text: str, stop: str = '') -> None:
+    def _move(self, kind: str, text: str, stop: str = '') -> None:
         values, found, turn = self._words(text)
         if kind == 'CC':
             centre, given, unit = self.mover.here(), self._place(values), self.mover.unit
@@ -329,10 +333,12 @@ class HeidenhainReader(ProgramReader):
         self, words: BlockWords, values: dict[str, float], found: list[str]
     ) -> None:
         for code in words.m[:]:
-            if code in _REFUSED_M:
-                raise self.fault(
-                    'this M code is not supported; post without it', code, DependsOn.LINE
-                )
+            self.demand(
+                code not in _REFUSED_M,
+                'this M code is not supported; post without it',
+                code,
+                DependsOn.LINE,
+            )
             if code in _IDLE_M or code in _OWN_M:
                 words.m.remove(code)
             if code in _IDLE_M:
@@ -354,13 +360,10 @@ class HeidenhainReader(ProgramReader):
             words.ways |= dict.fromkeys(self.mover.rotary_letters, 'DC')
 
     def _place(self, values: dict[str, float]) -> dict[str, float]:
-        here = self.mover.here()
-        letters = ('X', 'Y', 'Z', *self.mover.rotary_letters)
         found = {letter: values[letter] for letter in 'XYZABCUVW' if letter in values}
-        for i, letter in enumerate(letters):
-            size = self.mover.unit if i < 3 else DEG
+        for letter, here in self.mover.in_words(self.mover.here()).items():
             if f'I{letter}' in values:
-                found[letter] = float(here[i]) / size + values[f'I{letter}']
+                found[letter] = here + values[f'I{letter}']
         return found
 
     def _flat(self, point: FloatArray) -> complex:
@@ -398,8 +401,7 @@ class HeidenhainReader(ProgramReader):
         a, b, _ = PLANES[self.mover.plane]
         unit, start = self.mover.unit, self._flat(self.mover.here())
         if kind == 'CR':
-            if 'R' not in values:
-                raise self.fault('the radius is missing; write R', 'CR')
+            self.demand('R' in values, 'the radius is missing; write R', 'CR')
             words.values['R'], words.texts['R'] = values['R'], f'R{values["R"]:g}'
             self.heading = None
             return 'G3' if turn == '+' else 'G2'
@@ -410,8 +412,7 @@ class HeidenhainReader(ProgramReader):
             if self.heading is None or abs(end - start) < 1e-9:
                 raise self.fault('CT needs a line or an arc about CC before', 'CT')
             side = ((end - start) * self.heading.conjugate()).imag
-            if abs(side) < 1e-9:
-                raise self.fault('the end lies on the line before; write L', 'CT')
+            self.demand(abs(side) >= 1e-9, 'the end lies on the line before; write L', 'CT')
             ccw = side > 0.0
             centre = start + abs(end - start) ** 2 / (2.0 * side) * 1j * self.heading
         arm = end - centre
@@ -430,13 +431,16 @@ class HeidenhainReader(ProgramReader):
         kind = 'CHR' if match[1] == 'CHF' else 'RND'  # CHF is measured along the lines here
         return Corner(kind, self._value(match[2]) * self.mover.unit)
 
-    def _tool_call(self, number: str | None, axis: str, rest: str, named: str) -> None:
-        values, _, _ = self._words(rest)
-        if any(values.get(name) for name in ('DL', 'DR', 'DR2')):
-            raise self.fault(
-                'DL and DR are not supported; put them into the setup', 'TOOL CALL', DependsOn.LINE
-            )
-        words = BlockWords(g=[{'Z': 'G17', 'Y': 'G18', 'X': 'G19'}[axis]])
+    def _tool_call(self, match: re.Match[str]) -> None:
+        number, named = match[2], (match[1] or '').strip('"')
+        values, _, _ = self._words(match[4])
+        self.demand(
+            not any(values.get(name) for name in ('DL', 'DR', 'DR2')),
+            'DL and DR are not supported; put them into the setup',
+            'TOOL CALL',
+            DependsOn.LINE,
+        )
+        words = BlockWords(g=[{'Z': 'G17', 'Y': 'G18', 'X': 'G19'}[match[3] or 'Z']])
         tools = self.mover.setup.tools
         if named:
             number = next((str(n) for n in tools if tools[n].remark.upper() == named), None)
@@ -456,25 +460,27 @@ class HeidenhainReader(ProgramReader):
         for name, size in (('Q108', tool.radius), ('Q114', tool.length)):
             self.variables.set_name(name, size / unit)
 
-    def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
-        frames = self._frames
+    def _define_cycle(self, match: re.Match[str]) -> None:
+        frames, number, part, rest = self._frames, int(match[1]), match[2], match[3]
         acts = {7: frames.shift, 10: frames.rotate, 19: frames.add_angles}
         if number in acts and part == '0':
             frames.angles = {}
         elif number in acts and part:
             acts[number](self._words(rest)[0])
         elif number in (8, 11, 26) and part:
-            if re.search(r'[1-9XYZ]', rest):
-                raise self.fault(
-                    'mirroring and scaling are not supported', f'CYCL DEF {number}', DependsOn.LINE
-                )
+            self.demand(
+                not re.search(r'[1-9XYZ]', rest),
+                'mirroring and scaling are not supported',
+                f'CYCL DEF {number}',
+                DependsOn.LINE,
+            )
         elif number == 9 or number in (32, 13, 12):
             if number == 9 and part != '0':
                 self.mover.targets.stop_here()
                 found = re.search(r'([\d.]+)\s*$', rest)
                 self.at.rest_for('CYCL DEF 9', self._number(found[1]) if found else 0.0)
-            elif number == 32 and (match := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
-                tolerances(self.at, 'CYCL DEF 32', self._number(match[1]) or None, None)
+            elif number == 32 and (told := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
+                tolerances(self.at, 'CYCL DEF 32', self._number(told[1]) or None, None)
         elif number in _SETTING:
             self.defining = True
             self.notice(f'CYCL DEF {number}', _SETTING[number])
@@ -499,8 +505,7 @@ class HeidenhainReader(ProgramReader):
 
     def _drill(self) -> None:
         mover, unit, axis = self.mover, self.mover.unit, PLANES[self.mover.plane][2]
-        if not self.cycle:
-            raise self.fault('no cycle is defined; write CYCL DEF', 'CYCL CALL')
+        self.demand(self.cycle, 'no cycle is defined; write CYCL DEF', 'CYCL CALL')
 
         def of(name: str) -> float:
             return self.variables.named(name) if self.variables.exists(name) else 0.0
@@ -514,8 +519,9 @@ class HeidenhainReader(ProgramReader):
         if self.cycle < 200:
             surface -= of('Q200') * unit  # the tool stands on the clearance
         bottom, retract = surface + of('Q201') * unit, surface + of('Q200') * unit
-        if not bottom < retract:
-            raise self.fault('the depth Q201 must be below the surface', f'CYCL DEF {self.cycle}')
+        self.demand(
+            bottom < retract, 'the depth Q201 must be below the surface', f'CYCL DEF {self.cycle}'
+        )
         clear, step = surface + max(of('Q204'), of('Q200')) * unit, of('Q202') * unit
         pecks: list[float] = []
         if self.cycle in (1, 200, 203, 205) and step > 0.0:
@@ -562,8 +568,7 @@ class HeidenhainReader(ProgramReader):
 
         def go(place: FloatArray, level: float, feed: str = '') -> None:
             mover.feedrate = of(feed) * unit / MINUTE if feed else np.inf
-            if not mover.feedrate > 0.0:
-                raise self.fault(f'the feed {feed} is missing', name)
+            self.demand(mover.feedrate > 0.0, f'the feed {feed} is missing', name)
             go_along(mover, place, axis, level, True, mover.feedrate == np.inf)
 
         aside, depth = here.copy(), of('Q249' if self.cycle == 204 else 'Q201') * unit
@@ -587,12 +592,11 @@ class HeidenhainReader(ProgramReader):
         else:
             cutter = cutter_of(self.at, BlockWords()).radius
             radius, pitch = 0.5 * of('Q335') * unit - cutter, of('Q334') * unit
-            if radius < 0.0 or not (depth < 0.0 < pitch):
-                raise self.fault(
-                    'write Q335 not below the diameter of the tool, Q334 above 0, '
-                    'and Q201 below 0',
-                    name,
-                )
+            self.demand(
+                radius >= 0.0 and depth < 0.0 < pitch,
+                'write Q335 not below the diameter of the tool, Q334 above 0, and Q201 below 0',
+                name,
+            )
             if radius > cutter and not of('Q342') > 0.0:
                 raise self.fault(
                     'the hole is more than twice as wide as the tool; write Q342', name
@@ -623,7 +627,8 @@ class HeidenhainReader(ProgramReader):
         go(here, clear)
         mover.feedrate = kept
 
-    def _tilt(self, kind: str, rest: str) -> None:
+    def _tilt(self, match: re.Match[str]) -> None:
+        kind, rest = match.groups()
         how = {name for found in _TURNING.finditer(rest) for name in found.groups() if name}
         values, _, _ = self._words(_TURNING.sub(' ', rest))
         choice = 1 if '+' in how else 2 if '-' in how else 0
@@ -631,3 +636,26 @@ class HeidenhainReader(ProgramReader):
         self._frames.tilt(kind, values, way, choice, 'TABLE' in how)
         for letter, angle in zip(self.mover.rotary_letters, self._frames.found, strict=False):
             self.variables.set_name(f'Q12{"ABC".index(letter)}', angle / DEG)
+
+    #: What lines of each form do: those that change the order of lines, and all others.
+    _FLOW: ClassVar[tuple[_Form, ...]] = (
+        (_LABEL, _pass_label),
+        (_CALL, _call),
+        (_CALL_FILE, _call_file),
+        (_FN, _function),
+        (_SET, _set),
+        (re.compile(r'END PGM.*'), _end),
+    )
+    _STATEMENTS: ClassVar[tuple[_Form, ...]] = (
+        (re.compile(r'BEGIN PGM(?:.*\b(IN(?:CH)?)|.*)'), _begin),
+        (_CYCLE, _define_cycle),
+        (_TOOL_CALL, _tool_call),
+        (_PLANE, _tilt),
+        (re.compile(r'(?:BLK FORM|TOOL DEF|\*|PRINT|STRUCTURE).*'), _idle),
+        (re.compile(r'STOP\s*(.*)'), _stop),
+        (re.compile(r'CYCL\s+CALL\s*(?:POS)?\s*(.*)'), _call_cycle),
+        (re.compile(r'FUNCTION\s+(RESET\s+)?TCPM\b(.*)'), _switch_tcp),
+        (_CORNER, _corner),
+        (re.compile(r'(LN|LP|L|CC|CP|CR|CT|C)(?![A-Z])\s*(.*)'), _motion),
+        (re.compile(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$)).*'), _line),
+    )

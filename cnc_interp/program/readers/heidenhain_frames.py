@@ -22,7 +22,8 @@ _TURNS = {
 
 class HeidenhainFrames:
     def __init__(self, mover: Mover, tilted: TiltedPlane):
-        self._mover, self._tilted, self._fault = mover, tilted, mover.fault
+        self._mover, self._tilted = mover, tilted
+        self._fault, self._demand = mover.fault, mover.demand
         #: Datum shift [mm or inch, deg], plane and rotation [deg], and the angles of cycle 19.
         self._shift: dict[str, float] = {}
         self._turn: FloatArray | None = None
@@ -51,12 +52,12 @@ class HeidenhainFrames:
         angles = {name: value for name, value in self.angles.items() if name in 'ABC'}
         turn = self._plane_of('SPATIAL', {f'SP{name}': value for name, value in angles.items()})
         others = [name for name, value in angles.items() if value]
-        if len(others) > 1:
-            raise self._fault(
-                'angles in space on some machines, positions of axes on others; '
-                'post with PLANE SPATIAL or PLANE AXIAL',
-                'CYCL DEF 19',
-            )
+        self._demand(
+            len(others) <= 1,
+            'angles in space on some machines, positions of axes on others; '
+            'post with PLANE SPATIAL or PLANE AXIAL',
+            'CYCL DEF 19',
+        )
         if not others:
             self._turn, self._waits = None, False
             self._mover.set_oriented(False)
@@ -113,8 +114,11 @@ class HeidenhainFrames:
     def _turn_of_axes(self, values: Mapping[str, float]) -> FloatArray:
         rotary = self._mover.rotary.copy()
         for letter, value in values.items():
-            if letter not in self._mover.rotary_letters:
-                raise self._fault(f'the machine has no axis {letter}', 'PLANE AXIAL')
+            self._demand(
+                letter in self._mover.rotary_letters,
+                f'the machine has no axis {letter}',
+                'PLANE AXIAL',
+            )
             rotary[self._mover.rotary_letters.index(letter)] = value * DEG
         if not self._mover.rotary_letters:
             return np.eye(3)
@@ -124,12 +128,11 @@ class HeidenhainFrames:
         axis = np.cross(up, z)
         if np.linalg.norm(axis) < 1e-9:
             return np.eye(3)
-        if np.abs(axis).max() <= (1.0 - 1e-12) * np.linalg.norm(axis):
-            raise self._fault(
-                'the turn of X and Y in this plane depends on the machine; post '
-                'with PLANE SPATIAL',
-                'PLANE AXIAL',
-            )
+        self._demand(
+            np.abs(axis).max() > (1.0 - 1e-12) * np.linalg.norm(axis),
+            'the turn of X and Y in this plane depends on the machine; post with PLANE SPATIAL',
+            'PLANE AXIAL',
+        )
         which = int(np.argmax(np.abs(axis)))
         return rotation(which, float(np.copysign(angle, axis[which])))
 

@@ -23,7 +23,7 @@ class ProgramReader(ABC):
 
     def __init__(self, at: Execution):
         self.at, self.flow, self.settings = at, at.flow, at.settings
-        self.fault, self.notice = at.fault, at.notice
+        self.fault, self.demand, self.notice = at.fault, at.demand, at.notice
         self.in_flow = False  # whether a refusal leaves it open which line is the next
 
     @abstractmethod

@@ -110,6 +110,13 @@ class Cursor:
         line = self.line_number
         return ProgramError(message, self.source.name, line, word[:40], depends_on)
 
+    def demand(
+        self, holds: object, message: str, word: str = '', depends_on: DependsOn = DependsOn.STATE
+    ) -> None:
+        """Refuse the line unless something holds."""
+        if not holds:
+            raise self.fault(message, word, depends_on)
+
     def close(self) -> None:
         for call in self._calls:
             call.source.close()
@@ -151,10 +158,11 @@ class Cursor:
         if rounds < 1:
             self.go(self.window.place(self.row + 1))
             return
-        if len(self._calls) >= _DEEPEST_CALL:
-            raise self.fault(
-                f'calls are nested more than {_DEEPEST_CALL} deep; use fewer levels', stem
-            )
+        self.demand(
+            len(self._calls) < _DEEPEST_CALL,
+            f'calls are nested more than {_DEEPEST_CALL} deep; use fewer levels',
+            stem,
+        )
         self._count_jump()
         back, line = self.window.place(self.row + 1), self.line_number
         search = re.compile(rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + pattern)

@@ -87,10 +87,11 @@ class Flow(Cursor):
                 self.jump(match[2][4:], match[3])
             return None
         if head == 'W' and (match := _WHILE.fullmatch(line)):
-            if match[3]:
-                raise self.fault(
-                    f'nothing may follow DO{match[2]}; write it into the next line', match[3]
-                )
+            self.demand(
+                not match[3],
+                f'nothing may follow DO{match[2]}; write it into the next line',
+                match[3],
+            )
             self.run_word(_numbered(match[2]), 'WHILE', match[1])
             return None
         if head == 'E' and (match := _END.fullmatch(line)):
@@ -114,11 +115,11 @@ class Flow(Cursor):
         elif word == 'CALL':
             self._call_o_word(label, rest)
         elif word in ('ENDSUB', 'RETURN'):
-            if not self.depth:
-                raise self.fault(
-                    'this subprogram was not called; move it after M2, or call it',
-                    f'O{label} {word}',
-                )
+            self.demand(
+                self.depth,
+                'this subprogram was not called; move it after M2, or call it',
+                f'O{label} {word}',
+            )
             value = self._values(rest, 'values')
             self.leave()
             self.returned = (value[0], 1.0) if value else (0.0, 0.0)
@@ -195,16 +196,20 @@ class Flow(Cursor):
         counts = [int(self.condition(size)) for size in sizes.split(',')]
         indices = ['']
         for count in counts:
-            if not 0 < count * len(indices) <= _MOST_ELEMENTS:
-                raise self.fault(f'an array of more than {_MOST_ELEMENTS} elements', name)
+            self.demand(
+                0 < count * len(indices) <= _MOST_ELEMENTS,
+                f'an array of more than {_MOST_ELEMENTS} elements',
+                name,
+            )
             indices = [f'{before},{i}' for before in indices for i in range(count)]
         given = re.fullmatch(r'\s*(SET|REP)?\s*\((.*)\)\s*', value or '()')
         parts = _COMMAS.split(given[2] if given else value or '')
         values = [self.condition(text) for text in parts if text.strip()]
         if given and given[1] == 'REP':
             values = values[:1] * len(indices)
-        if len(values) > len(indices):
-            raise self.fault('more values than elements; correct the size', name)
+        self.demand(
+            len(values) <= len(indices), 'more values than elements; correct the size', name
+        )
         for index, number in zip(indices, values + [0.0] * len(indices), strict=False):
             self.variables.set_name(f'{name}[{index[1:]}]', number)
 
@@ -247,12 +252,13 @@ class Flow(Cursor):
             return None
         word = 'G65' if 'G65' in words.g else 'M98'
         number, rounds = values.pop('P', inf), values.pop('L', None)
-        if not 0 <= number < 1e8 or number != floor(number):
-            raise self.fault('the number of the subprogram is missing; write P1000', word)
+        whole = 0 <= number < 1e8 and number == floor(number)
+        self.demand(whole, 'the number of the subprogram is missing; write P1000', word)
         if rounds is None:  # Fanuc: P21000 calls O1000 twice
             rounds, number = divmod(number, 10000) if number > 9999 else (1, number)
-        if not 0 <= rounds <= 9999:
-            raise self.fault('a subprogram is repeated 0 to 9999 times', f'L{rounds:g}')
+        self.demand(
+            0 <= rounds <= 9999, 'a subprogram is repeated 0 to 9999 times', f'L{rounds:g}'
+        )
         arguments = None
         if word == 'G65':
             arguments = self._arguments_of(words)
@@ -270,8 +276,7 @@ class Flow(Cursor):
                 later += 3 * bool(before and letter <= before)
                 before = letter
             number = G65_ARGUMENTS[letter] + later * (letter in 'IJK')
-            if number > MOST_LOCAL:
-                raise self.fault('more than ten sets of I J K', letter)
+            self.demand(number <= MOST_LOCAL, 'more than ten sets of I J K', letter)
             found[number] = value
         return found
 
@@ -392,8 +397,7 @@ class Flow(Cursor):
             pattern = rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?' + target.encode() + rb'[ \t]*:'
         else:
             value = self.condition(re.sub(r'^[N:](?=\d)', '', target))
-            if not 0 <= value < 1e9:
-                raise self.fault('not a line number; write for example GOTO 100', target)
+            self.demand(0 <= value < 1e9, 'not a line number; write for example GOTO 100', target)
             pattern = rb'(?mi)^[ \t/]*[N:][ \t]*0*%d(?!\d)' % round(value)
         search = re.compile(pattern)
         after = self.window.place(self.row + 1)

@@ -1,7 +1,7 @@
 """One line of G-code as words: comments, words with and without spaces, key words."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from math import nan
 from typing import Any
@@ -68,6 +68,11 @@ class BlockWords:
     second_tool: float | None = None  #: A second T: the tool that follows (Mazak).
     #: Words after G65, which may have several sets of I J K.
     arguments: list[tuple[str, float]] = field(default_factory=list)
+
+    def take(self, letters: Iterable[str]) -> dict[int, float]:
+        """Take words out of the block; return their numbers by the places of their letters."""
+        found = enumerate(letters)
+        return {i: self.values.pop(letter) for i, letter in found if letter in self.values}
 
 
 Fault = Callable[[str, str, DependsOn], ProgramError]

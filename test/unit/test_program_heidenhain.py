@@ -112,6 +112,14 @@ def test_cycle_204_bores_from_below_and_goes_through_the_hole_beside_its_axis():
     assert np.flatnonzero(blocks.exact_stop).tolist() == [5, 9]
 
 
+def test_a_label_is_called_in_a_tilted_plane():
+    before = 'L X+0 Y+0 Z+50 A+0 C+0 FMAX|PLANE SPATIAL SPA+30 SPB+0 SPC+0 TURN SEQ+|'
+    called = f'{before}CALL LBL 1|L X+9|M30|LBL 1|L X+5 Z+40 F500|LBL 0'
+    written = f'{before}L X+5 Z+40 F500|L X+9'
+    tips = [read(text, geometry=AC).blocks.tip for text in (called, written)]
+    np.testing.assert_array_equal(*tips)
+
+
 @pytest.mark.parametrize(('climb', 'sense'), [(1, 1), (-1, -1)])
 def test_cycle_208_mills_the_hole_as_a_helix_and_a_whole_turn_at_its_depth(climb, sense):
     text = (

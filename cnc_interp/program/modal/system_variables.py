@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from cnc_interp.core import DEG, MINUTE, MM
 from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, Tool
 from cnc_interp.program.modal.state import ModalState
-from cnc_interp.program.text.dialect_traits import LINUXCNC
+from cnc_interp.program.text.dialect_traits import HEIDENHAIN, LINUXCNC
 
 #: Modal values that Fanuc numbers from #4001 on; and where the machine stands, from #5021 on.
 _GROUPS = {
@@ -22,7 +22,7 @@ _STANDS = 5021
 
 def numbered(state: ModalState, tool: int, cycle: str) -> dict[int, float]:
     """Return the variables that the control has at a line, by their number."""
-    if state.dialect is LINUXCNC:
+    if state.dialect in (LINUXCNC, HEIDENHAIN):  # whose words Fanuc has no numbers for
         return _of_linuxcnc(state, tool)
     words, offset = state.active_codes(), state.setup.offset.split(' P')
     coded = {number: words[name] for number, name in _GROUPS.items() if name in words}

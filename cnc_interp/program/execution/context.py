@@ -12,7 +12,7 @@ from cnc_interp.program.blocks.functions import Acting, acting
 from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.geometry.arcs import PLANES
 from cnc_interp.program.job import JobSetup
-from cnc_interp.program.modal.state import modal_words
+from cnc_interp.program.modal.state import words_of_state
 from cnc_interp.program.modal.system_variables import named, numbered
 from cnc_interp.program.motion import probing
 from cnc_interp.program.motion.cycles import CannedCycle, SiemensCycle, dwell_of
@@ -108,7 +108,7 @@ class Execution:
         return number, motion, mover.feed_word
 
     def state_words(self) -> tuple[str, ...]:
-        words = modal_words(self.mover)
+        words = words_of_state(self.mover)
         if self.tool:
             words.insert(0, f'T{self.tool}')
         if self.mover.spindle_speed:

@@ -44,7 +44,7 @@ _RECORDED = tuple(name for name, mode in MODES.items() if mode.recorded)
 _SHOWN = {name: mode.codes for name, mode in MODES.items() if mode.codes and mode.shown}
 
 
-def modal_words(state: ModalState) -> list[str]:
+def words_of_state(state: ModalState) -> list[str]:
     """Return the words that set the modal state where a run starts."""
     words, frames, feed = state.active_codes(), state.frames, state.feedrate
     turning, polar = words.pop('great_circle', ''), words.pop('polar', '')

@@ -394,7 +394,7 @@ class Mover(ModalState):
             fault, changed = self.flow.fault('', corner.kind), self.targets.changed
             self.held = corner, fault, before, row, changed
         elif corner.size and not corner.modal:
-            raise self.fault('stands at the end of a line G1', corner.kind)
+            raise self.fault('belongs at the end of a G1 line', corner.kind)
         else:
             self.targets.add(row)
 

@@ -56,7 +56,7 @@ class ProgrammedCurve:
         if self._named is None:
             self._named = second is not None
         elif second is not None and not self._named:
-            why = 'XH YH ZH must stand in the first block of a spline, or in none'
+            why = 'write XH YH ZH in the first block of a spline, or in none'
             raise self._fault(line, why)
         if not self._named:
             second = tip + self._height * self._axis

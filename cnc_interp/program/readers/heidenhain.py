@@ -248,7 +248,7 @@ class HeidenhainReader(ProgramReader):
     def _corner(self, match: re.Match[str]) -> None:
         # The line before has looked for it.
         held = self.mover.held is not None
-        self.demand(held, 'stands between two lines, L or LP, in the plane', match[1])
+        self.demand(held, 'belongs between two lines, L or LP, in the plane', match[1])
 
     def _motion(self, match: re.Match[str]) -> None:
         self._move(match[1], match[2])
@@ -355,7 +355,7 @@ class HeidenhainReader(ProgramReader):
             elif word in ('RL', 'RR') and self.mover.radius_code != f'G4{1 + (word == "RR")}':
                 words.g.append(f'G4{1 + (word == "RR")}')
         if 'DR' in values or 'DL' in values:
-            raise self.fault('stands in TOOL CALL only', 'DR', DependsOn.LINE)
+            raise self.fault('is allowed in TOOL CALL only', 'DR', DependsOn.LINE)
         if self.shortest:
             words.ways |= dict.fromkeys(self.mover.rotary_letters, 'DC')
 

@@ -37,20 +37,9 @@ class GcodeReader(ProgramReader):
     def read_lines(self, first: int, end: int) -> None:
         window = self.flow.window
         rows = first + np.flatnonzero(window.kind[first:end] == scan.PLAIN)
-        in_main = self.flow.source is self.flow.main
-        at = self.at
-        free = (
-            at.cycle is None
-            and at.called is None
-            and not at.mover.radius_code
-            and not at.splines.open
-            and not at.plane.parts
-            and not at.mover.by_surface_speed
-            and self.settings.numbers != 'increments'
-        )
-        if len(rows) >= SHORTEST and in_main and free:
+        if len(rows) >= SHORTEST and self.flow.source is self.flow.main:
             lines = window.start.line + rows
-            if move_along(self.mover, window.code[rows], window.values[rows], lines):
+            if move_along(self.at, window.code[rows], window.values[rows], lines):
                 self.flow.row = end
                 return
         for row in rows:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cnc_interp.core import DEG, MINUTE, FloatArray, IntArray
+from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.geometry import target_row as col
 from cnc_interp.program.geometry.arcs import PLANES, TOLD, arcs_of
 from cnc_interp.program.modal.state import FARTHEST, LONG_WAY, SLOWEST
@@ -23,10 +24,18 @@ def _filled(values: FloatArray, first: float) -> FloatArray:
     return np.where(last >= 0, values[last], first)
 
 
-def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: IntArray) -> bool:
+def move_along(at: Execution, code: NDArray[np.int8], values: FloatArray, lines: IntArray) -> bool:
     """Execute plain lines; False, with nothing changed, where the general reader must do it."""
+    mover = at.mover
     if (
-        mover.targets.empty
+        at.cycle is not None
+        or at.called is not None
+        or at.splines.open
+        or at.plane.parts
+        or at.settings.numbers == 'increments'
+        or mover.radius_code
+        or mover.by_surface_speed
+        or mover.targets.empty
         or mover.stop_once
         or mover.vector is not None
         or mover.tcp == 'G43.5'

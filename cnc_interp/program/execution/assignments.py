@@ -33,9 +33,9 @@ def assign(at: Execution, words: BlockWords) -> None:
         if name in ('A3', 'B3', 'C3', 'RPL', 'ANG', *CURVE_WORDS, *NORMAL_WORDS):
             continue
         if name == 'CR':
-            words.values['R'], words.texts['R'] = value, f'CR={value:g}'
+            words.put('R', value, f'CR={value:g}')
         elif name == 'TURN':
-            words.values['P'], words.texts['P'] = value + 1.0, f'TURN={value:g}'
+            words.put('P', value + 1.0, f'TURN={value:g}')
         elif name in ('RND', 'RNDM', 'CHR', 'CHF') and not at.variables.exists(str(name)):
             modal = name == 'RNDM'
             mover.corner = Corner('RND' if modal else str(name), value * mover.unit, modal)

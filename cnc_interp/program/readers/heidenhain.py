@@ -301,9 +301,9 @@ class HeidenhainReader(ProgramReader):
         if kind == 'LP' or kind == 'CP':
             self._polar(values, place, kind == 'CP', words, turn)
         for letter, value in place.items():
-            words.values[letter], words.texts[letter] = value, f'{letter}{value:g}'
+            words.put(letter, value)
         if 'F' in values and 'M128' not in words.m:
-            words.values['F'], words.texts['F'] = values['F'], f'F{values["F"]:g}'
+            words.put('F', values['F'])
         for name, letter in (('TX', 'A3'), ('TY', 'B3'), ('TZ', 'C3')):
             if name in values:
                 words.sets.append((letter, values[name]))
@@ -390,7 +390,7 @@ class HeidenhainReader(ProgramReader):
             whole = abs(values['IPA']) / 360.0
             if on_arc and whole > 1.0 + 1e-9:
                 turns = int(np.ceil(whole - 1e-9))
-                words.values['P'], words.texts['P'] = float(turns), f'IPA{values["IPA"]:g}'
+                words.put('P', float(turns), f'IPA{values["IPA"]:g}')
             if on_arc and turn and (values['IPA'] < 0.0) != (turn == '-'):
                 raise self.fault('IPA and DR turn in different directions; correct one', 'CP')
         end = self.centre + radius * exp(1j * angle)
@@ -402,7 +402,7 @@ class HeidenhainReader(ProgramReader):
         unit, start = self.mover.unit, self._flat(self.mover.here())
         if kind == 'CR':
             self.demand('R' in values, 'the radius is missing; write R', 'CR')
-            words.values['R'], words.texts['R'] = values['R'], f'R{values["R"]:g}'
+            words.put('R', values['R'])
             self.heading = None
             return 'G3' if turn == '+' else 'G2'
         centre, ccw = self.centre, turn == '+'
@@ -418,7 +418,7 @@ class HeidenhainReader(ProgramReader):
         arm = end - centre
         self.heading = arm / abs(arm) * (1j if ccw else -1j) if abs(arm) > 1e-9 else None
         for letter, value in zip(('IJK'[a], 'IJK'[b]), (centre.real, centre.imag), strict=True):
-            words.values[letter], words.texts[letter] = value / unit, f'CC {value / unit:g}'
+            words.put(letter, value / unit, f'CC {value / unit:g}')
             words.ways[letter] = 'AC'
         return 'G3' if ccw else 'G2'
 
@@ -448,13 +448,13 @@ class HeidenhainReader(ProgramReader):
                 raise self.fault('no tool of the setup has this name as its remark', named)
             words.m.append('M6')
         if number is not None:
-            words.values['T'], words.texts['T'] = float(number), f'TOOL CALL {number}'
+            words.put('T', float(number), f'TOOL CALL {number}')
             words.m[:] = ['M6']
             if tools or int(number) == 0:
                 words.g.append('G43' if int(number) else 'G49')
         for name in 'SF':
             if name in values:
-                words.values[name], words.texts[name] = values[name], f'{name}{values[name]:g}'
+                words.put(name, values[name])
         self.execute(words)
         tool, unit = self.mover.setup.tools.get(self.at.tool, Tool()).worn, self.mover.unit
         for name, size in (('Q108', tool.radius), ('Q114', tool.length)):

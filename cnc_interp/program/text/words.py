@@ -69,6 +69,10 @@ class BlockWords:
     #: Words after G65, which may have several sets of I J K.
     arguments: list[tuple[str, float]] = field(default_factory=list)
 
+    def put(self, letter: str, value: float, text: str = '') -> None:
+        """Put a word into the block; ``text``: how it is written, if not as letter and number."""
+        self.values[letter], self.texts[letter] = value, text or f'{letter}{value:g}'
+
     def take(self, letters: Iterable[str]) -> dict[int, float]:
         """Take words out of the block; return their numbers by the places of their letters."""
         found = enumerate(letters)
@@ -166,8 +170,7 @@ def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) 
         raise fault(
             f'{letter} is written twice in one block; keep one of them', text, DependsOn.LINE
         )
-    words.values[letter] = value
-    words.texts[letter] = text
+    words.put(letter, value, text)
 
 
 def _by_grammar(line: str, variables: expressions.ProgramVariables, fault: Fault) -> BlockWords:

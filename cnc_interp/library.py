@@ -11,7 +11,6 @@ from scipy.interpolate import make_interp_spline
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
@@ -141,7 +140,7 @@ def plan_program(program: Program, machine: Machine, settings: Settings | None =
     return Plan(program, machine, settings, segments, kept.pieces, setpoints, chain.seconds)
 
 
-def smooth_path(blocks: Blocks, geometry: FiveAxis, settings: Settings | None = None) -> AxisPath:
+def smooth_path(blocks: Blocks, geometry: Transform, settings: Settings | None = None) -> AxisPath:
     """Round the corners of blocks within their tolerances, and return the path of the axes.
 
     Parameters

@@ -51,7 +51,7 @@ def pole_turn(
 ) -> PoleTurn | None:
     if not machine.has_rotary or not passes:
         return None
-    transform = Transform.of(machine)
+    transform = Transform.of(machine).five_axis
     outer, limit = machine.axis_names[3 + transform.outer], THROUGH * tolerance
     fastest = float(machine.max_velocity[3 + transform.outer])
     turns = [_Turns.of(one, feedrate) for one in passes]

@@ -17,7 +17,6 @@ from rosgraph_msgs.msg import Clock
 from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.recorded_run import stream_of
 from cnc_interp.core import InterpError
-from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
@@ -97,7 +96,7 @@ Chunks = dict[int, SetpointChunk]  #: Those of a plan by their first setpoints.
 class Repetition:
     """One attempt at a run, planned again from its recorded blocks."""
 
-    def __init__(self, bag: Bag, transform: FiveAxis, run_id: RunId, plans: dict[int, Chunks]):
+    def __init__(self, bag: Bag, transform: Transform, run_id: RunId, plans: dict[int, Chunks]):
         self._bag, self._transform, self._run_id = bag, transform, run_id
         self._plans = plans
         self._blocks = stream_of(bag, 'blocks', run_id)

@@ -72,7 +72,7 @@ def convert(
         raise
 
 
-def with_poses(blocks: Blocks, transform: FiveAxis, height: float) -> Blocks:
+def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
     """Replace linear rotary axes by poses, within a share of the tolerances at ``height`` [m]."""
     linear = np.flatnonzero(blocks.by_rotary)
     if not len(linear):
@@ -152,8 +152,9 @@ def _chords(rows: Blocks, height: float, most: float) -> Blocks:
     return Blocks(**columns)
 
 
-def _gcode(blocks: Blocks, transform: FiveAxis) -> Converted:
-    rotary = _rotary_words(blocks, transform) if transform.machine.has_rotary else None
+def _gcode(blocks: Blocks, transform: Transform) -> Converted:
+    five_axis = transform.five_axis
+    rotary = _rotary_words(blocks, five_axis) if transform.machine.has_rotary else None
     notes = []
     other = blocks.orientation_tolerance != blocks.contour_tolerance
     if rotary is not None and other.any():
@@ -231,7 +232,7 @@ def _cl(blocks: Blocks, source: str) -> Converted:
 
 
 def _siemens(
-    program: Program, transform: FiveAxis, settings: Settings, tolerance: float
+    program: Program, transform: Transform, settings: Settings, tolerance: float
 ) -> Converted:
     blocks = program.blocks
     segments = segments_of(blocks, transform, settings)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cnc_interp.core import DEG, MM, BlockError, FloatArray, dot, norm
 from cnc_interp.core.bspline import bezier_values, corner_end_derivatives, cubic_bezier_points
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import WrittenMove
 from cnc_interp.smoothing import segments as kinds
@@ -166,7 +166,7 @@ SAME_POINT = 1e-9  #: Second points closer than this are equal [m].
 
 class SplineMoves:
     def __init__(
-        self, segments: PathSegments, transform: FiveAxis, height: float, tolerance: float
+        self, segments: PathSegments, transform: Transform, height: float, tolerance: float
     ):
         self.segments, self.transform = segments, transform
         self.height, self.tolerance = height, tolerance

@@ -13,8 +13,8 @@ from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import FINE, sample_segments
-from cnc_interp.machine_model.five_axis import FiveAxis
-from cnc_interp.machine_model.transform_port import start_positions
+from cnc_interp.machine_model.joint_chain import JointChain
+from cnc_interp.machine_model.transform_port import Transform, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
@@ -46,18 +46,23 @@ def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegme
 class AxisPathBuilder:
     """Turn segments into machine axes, batch by batch; within the period a kink shows as jerk."""
 
-    def __init__(self, transform: FiveAxis, flank_height: float, period: float):
+    def __init__(self, transform: Transform, flank_height: float, period: float):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
         self._begun, self._branch = False, 1.0
-        self._stands = np.zeros(5 + len(self.machine.extra_names))  # all axes [m, rad]
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
-        extra = 5 + np.arange(len(self.machine.extra_names))
-        self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
+        self._passages: PolePassages | None = None
+        if isinstance(transform, JointChain):
+            self._axes = np.arange(len(self.machine.axis_names))
+        else:
+            extra = 5 + np.arange(len(self.machine.extra_names))
+            self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
+            if self.machine.has_rotary:
+                self._passages = PolePassages(transform.five_axis, flank_height)
+        self._stands = np.zeros(max(int(self._axes[-1]) + 1, 5))  # all axes [m, rad]
         self._s = 0.0
         self._stopped = True
         self._end: tuple[FloatArray, FloatArray] | None = None
-        self.passages = PolePassages(transform, flank_height)
         #: The segments of the path that ``push`` returned last; their deviation is the whole one.
         self.done: PathSegments | None = None
 
@@ -65,14 +70,24 @@ class AxisPathBuilder:
     def _rotary(self) -> FloatArray:
         return self._stands[3:5]
 
-    def start(self, axis: FloatArray, rotary: FloatArray, line_number: int = 0) -> FloatArray:
-        """Choose branch and whole turns at the first pose; NaN where no positions are named."""
+    @property
+    def notice(self) -> tuple[int, str] | None:
+        return None if self._passages is None else self._passages.notice
+
+    def _start(self, segments: PathSegments) -> None:
+        """Choose branch and whole turns at the first pose, if its words do not name them."""
+        self._begun, line = True, int(segments.line_number[0])
+        if isinstance(self.transform, JointChain):
+            pose = segments.bottom[0, 0], segments.axis[0]
+            self._stands[:], self._branch = self.transform.start(*pose, line)
+            return
+        rotary, five_axis = segments.rotary[0, 0], self.transform.five_axis
         self._rotary[:], self._branch = start_positions(
-            self.transform, axis, rotary, np.zeros(2), line_number
+            five_axis, segments.axis[0], rotary, np.zeros(2), line
         )
-        self._begun, self._may_turn_at_once = True, not np.isfinite(rotary).all()
-        self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
-        return self._rotary.copy()
+        self._may_turn_at_once = not np.isfinite(rotary).all()
+        if self._passages is not None:
+            self._passages.begin(self._rotary, self._branch, self._may_turn_at_once)
 
     def push(self, segments: PathSegments) -> AxisPath | None:
         """Take segments; return their axes, if any; BlockError with line, axis and value."""
@@ -85,9 +100,9 @@ class AxisPathBuilder:
         motion, n = self._motions(segments), len(segments)
         guides, turn_first = np.tile(axes.NO_GUIDE, (n, 1)), np.full(n, np.nan)
         if n and not self._begun:
-            self.start(segments.axis[0], segments.rotary[0, 0], int(segments.line_number[0]))
-        if self.machine.has_rotary and n:
-            released = self.passages.take(segments, motion)
+            self._start(segments)
+        if self._passages is not None and n:
+            released = self._passages.take(segments, motion)
             segments, motion = released.segments, released.motion
             guides, turn_first = released.guides, released.turn_first
         self.done = segments
@@ -112,7 +127,7 @@ class AxisPathBuilder:
                     parts.extend(self._stand_at(run))
                 parts.append(self._cells(run, motion[first:last], guides[first:last]))
                 if own:
-                    self._branch = self.transform.branch_at(self._rotary)
+                    self._branch = self.transform.five_axis.branch_at(self._rotary)
                 else:
                     checks.check_words(self.transform, run, parts[-1].right, parts[-1].counts)
                 first = last
@@ -122,6 +137,8 @@ class AxisPathBuilder:
     def _motions(self, segments: PathSegments) -> IntArray:
         n, kind = len(segments), segments.kind
         motion = np.full(n, axes.RESTING)
+        if isinstance(self.transform, JointChain):
+            return np.full(n, axes.FOLLOWING)
         if not self.machine.has_rotary:
             checks.refuse_tilt(self.machine, segments)
             return motion
@@ -149,11 +166,11 @@ class AxisPathBuilder:
                 parts.append(self._turn_first(one, start))
             self._rotary[:] = start
         parts.append(self._cells(_turning(one, start, end), np.array([axes.LINEAR])))
-        self._branch = self.transform.branch_at(self._rotary)
+        self._branch = self.transform.five_axis.branch_at(self._rotary)
         return parts
 
     def _turn_outer(self, one: PathSegments, turn: float) -> list[Cells]:
-        outer, target = self.transform.outer, self._rotary.copy()
+        outer, target = self.transform.five_axis.outer, self._rotary.copy()
         gap = turn - target[outer]
         target[outer] += gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
         parts = []
@@ -216,7 +233,7 @@ class AxisPathBuilder:
         checks.check_travel(self.machine, steps[sound], left[sound], right[sound], lines)
         if status != FINE:
             line = int(segments.line_number[len(counts) - 1])
-            checks.refuse(self.transform, status, line)
+            checks.refuse(self.transform, status, line, self._stands)
         if motion[0] == axes.LINEAR and segments.kind[0] == kinds.ROTATION:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])

@@ -7,8 +7,9 @@ import numpy as np
 from cnc_interp.core import DEG, BlockError, FloatArray, IntArray, SingularityError, TravelError
 from cnc_interp.core.bspline import bezier_values, divided
 from cnc_interp.kinematics.sampling import SINGULAR, STANDSTILL
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.smoothing.segments import LINE, PathSegments
 
 TRAVEL_SLACK = 1e-9  #: The travel allows for rounding [m, rad].
@@ -23,7 +24,7 @@ OFF_WORDS = 15.0 * DEG  #: Largest difference of rotary words from positions tha
 
 
 def check_words(
-    transform: FiveAxis, run: PathSegments, right: FloatArray, counts: IntArray
+    transform: Transform, run: PathSegments, right: FloatArray, counts: IntArray
 ) -> None:
     """Refuse lines on which the tool axis leads the rotary axes away from their words."""
     machine = transform.machine
@@ -36,7 +37,7 @@ def check_words(
     off = ((reached < low) | (reached > high)).any(axis=1)
     for i in np.flatnonzero(np.isnan(words[:, 0]).any(axis=1)):  # after a tool direction
         end, gap = words[i, 1], np.abs(reached[i] - words[i, 1]).max()
-        branches = [transform.branch_at(place) for place in (end, reached[i])]
+        branches = [transform.five_axis.branch_at(place) for place in (end, reached[i])]
         off[i] = gap > OFF_WORDS and (gap > np.pi or branches[0] != branches[1])
     if off.any():
         i = int(off.argmax())
@@ -67,10 +68,13 @@ def refuse_tilt(machine: Machine, segments: PathSegments) -> None:
         )
 
 
-def refuse(transform: FiveAxis, status: int, line: int) -> NoReturn:
+def refuse(transform: Transform, status: int, line: int, stands: FloatArray) -> NoReturn:
+    """Refuse what cannot be cut into cells, beside the positions that were reached last."""
     machine = transform.machine
+    if isinstance(transform, JointChain) and status != STANDSTILL:
+        raise transform.refusal(stands, line, status == SINGULAR)
     if status == SINGULAR:
-        name = machine.axis_names[3 + transform.outer]
+        name = machine.axis_names[3 + transform.five_axis.outer]
         raise SingularityError(
             f'the turning tool axis comes closer than {machine.singular_cone / DEG:g} '
             f'deg to the direction where axis {name} is undefined; tilt the workpiece or the '

@@ -12,6 +12,7 @@ from cnc_interp.core.bspline import corner_spline_jet, quintic_jet
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics.axis_path import septic_jet
+from cnc_interp.machine_model import chain_kernels
 from cnc_interp.machine_model import transform_kernels as kernel
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
@@ -81,7 +82,8 @@ class SegmentRows(NamedTuple):
 class Stands(NamedTuple):
     """Where the axes were last; kernels go on from there and write where they have come to."""
 
-    q: FloatArray  #: (5 + k,): Positions, of which the nearest solutions are taken [m, rad].
+    #: (5 + k,), or (n,) of n joints: Positions, of which the nearest solutions are taken [m, rad].
+    q: FloatArray
     branch: FloatArray  #: (1,): +1 or -1: which of two solutions the rotary axes follow.
     height: float  #: Flank height [m].
 
@@ -114,8 +116,9 @@ def sample(
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return the axes at one point of a segment.
 
-    Returns the axes with three derivatives by path length (4, 5 + k); tool tip and axis, of no
-    meaning where the rotary axes are coordinates; and the measure of ``axis_jets``.
+    Returns the axes with three derivatives by path length, (4, 5 + k), or (4, n) of n joints; tool
+    tip and axis, of no meaning where the rotary axes are coordinates; and the measure of
+    ``axis_jets``.
     """
     kind, motion, shape, beside, f, length = segment
     u, inside = place.u, place.inside
@@ -146,11 +149,17 @@ def axis_jets(
 
     Axes that follow keep the branch and the whole turns nearest to where they stand. The measure
     is the squared sine of the tilt from the pole: negative when unreachable, 1 unless it is
-    solved. Another kinematics needs another kernel here, and nowhere else on the path.
+    solved. A chain of joints is packed as rows: which kernel it is, is known when it is compiled.
     """
     kind, motion, beside = segment.kind, segment.motion, segment.beside
     p, o, speed = pose
     way, u, inside = place
+    if packed.ndim == 2:
+        joints, measure = chain_kernels.joint_jets(packed, p, o, stands.q, stands.branch[0])
+        for j in range(joints.shape[1]):
+            of_u = (joints[0, j], joints[1, j], joints[2, j], joints[3, j])
+            joints[0, j], joints[1, j], joints[2, j], joints[3, j] = jet.by_arc_length(of_u, speed)
+        return joints, measure
     sine_squared, outer = 1.0, int(packed[kernel.OUTER])
     tilted, turned = stands.q[4 - outer], stands.q[3 + outer]
     if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:

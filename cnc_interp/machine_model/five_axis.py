@@ -68,6 +68,10 @@ class FiveAxis:
         return FiveAxis(machine, np.concatenate([packed, machine.extra_direction.ravel()]))
 
     @property
+    def five_axis(self) -> FiveAxis:
+        return self
+
+    @property
     def outer(self) -> int:
         """Index of the rotary axis that is undefined at the pole: 0 primary, 1 secondary."""
         return int(self.packed[OUTER])

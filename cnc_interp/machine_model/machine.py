@@ -17,6 +17,7 @@ from cnc_interp.core import DEG, MINUTE, MM, UM, BoolArray, FloatArray, MachineE
 from cnc_interp.core.axis_limits import AxisLimits, DriveLoad, Limits
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml, write_whole
 from cnc_interp.machine_model import machine_entries as entries
+from cnc_interp.machine_model.arm_entries import Arm, arm
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
     AxisDrive,
@@ -114,11 +115,12 @@ class Machine:
     macros: tuple[Macro, ...] = ()  #: Keys of the page.
     #: Its outputs and inputs, and the functions of a program that switch them.
     signals: Signals = field(default_factory=Signals)
+    arm: Arm | None = None  #: Its joints, if it is an arm: all its axes, without linear ones.
     file: str = ''  #: Where it was read from; empty for bundled machines, which their name finds.
 
     @cached_property
     def is_linear(self) -> BoolArray:
-        linear = np.ones(len(self.axis_names), dtype=np.bool_)
+        linear = np.full(len(self.axis_names), self.arm is None)
         linear[3 : len(linear) - len(self.extra_direction)] = False
         linear.flags.writeable = False
         return linear
@@ -150,7 +152,9 @@ class Machine:
         return tuple(Axis(**vars(of), name=name, linear=linear) for name, linear, of in columns)
 
     def doubts(self) -> Iterator[str]:
-        """Say which limits are likely in a wrong unit, one line for each axis."""
+        """Say which limits are guessed or likely in a wrong unit, one line for each axis."""
+        if self.arm is not None and self.arm.guessed:
+            yield f'limits of {self.name} are guessed: {", ".join(self.arm.guessed)}'
         for axis in self.axes:
             v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
             per_minute = v * MINUTE / axis.shown_size
@@ -182,8 +186,15 @@ class Machine:
         return self.axis_names[len(self.axis_names) - len(self.extra_direction) :]
 
     @property
+    def rotary_names(self) -> tuple[str, ...]:
+        """Letters of the rotary axes that programs may name."""
+        last = len(self.axis_names) - len(self.extra_direction)
+        return self.axis_names[3:last] if self.has_rotary else ()
+
+    @property
     def has_rotary(self) -> bool:
-        return not self.is_linear.all()
+        """Tell whether programs may name its rotary axes; an arm has joints instead."""
+        return self.arm is None and not self.is_linear.all()
 
     @staticmethod
     def load(path_or_name: str | Path) -> Machine:
@@ -197,11 +208,16 @@ class Machine:
         if not isinstance(content, dict):
             raise MachineError(f'{path}: not a machine file; see config/machines/xyzac.yaml')
         try:
-            machine = from_mapping(content)
+            machine = from_mapping(content, path.parent)
         except MachineError as problem:
             raise MachineError(f'{path}: {problem}', '') from None
-        bundled = path.parent == machines_directory()
+        bundled = path.parent in (machines_directory(), arms_directory())
         return machine if bundled else replace(machine, file=str(path.resolve()))
+
+
+def arm_of(machine: Machine) -> Arm:
+    assert machine.arm is not None, 'a machine with joints'
+    return machine.arm
 
 
 def limits_of(limits: Machine | Limits) -> Limits:
@@ -212,18 +228,26 @@ def machines_directory() -> Path:
     return config_directory() / 'machines'
 
 
+def arms_directory() -> Path:
+    return config_directory() / 'arms'
+
+
 def find_machine_file(path_or_name: str | Path) -> Path:
     path = Path(path_or_name)
     if path.is_file():
         return path
-    bundled = machines_directory() / f'{path_or_name}.yaml'
-    if bundled.is_file():
-        return bundled
-    names = ', '.join(sorted(p.stem for p in machines_directory().glob('*.yaml')))
+    folders = machines_directory(), arms_directory()
+    found = {file.stem: file for folder in folders for file in folder.glob('*.yaml')}
+    if str(path_or_name) in found:
+        return found[str(path_or_name)]
+    names = ', '.join(sorted(found))
     raise MachineError(f"no machine '{path_or_name}'; give a YAML file, or one of: {names}")
 
 
-def from_mapping(content: dict[str, Any]) -> Machine:
+def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
+    """Read the content of a machine file, and of the files beside it in a folder."""
+    if 'urdf' in content:
+        return _arm(content, folder)
     rotary = content.get('rotary') or {}
     if not isinstance(rotary, dict):
         raise MachineError('must hold primary and secondary', 'rotary')
@@ -267,6 +291,32 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         macros=macros(content),
         signals=signals(content, switches.index),
         **(entries.rotary_geometry(rotary) if rotary else entries.linear_geometry(content)),
+    )
+
+
+#: Entries of the machine file of an arm.
+ARM = ('name', 'urdf', 'base', 'flange', 'tcp', 'part', 'joint_limits', 'limits', 'home_deg') + (
+    'spin_deg',
+    'singular_cone_deg',
+    'standstill',
+    'control',
+)
+
+
+def _arm(content: dict[str, Any], folder: Path) -> Machine:
+    entries.require_known(content, ARM, 'arm')
+    found, limits = arm(content, folder)
+    cone = content.get('singular_cone_deg', 1.0)
+    shape = entries.linear_geometry({})
+    shape['singular_cone'] = entries.number(cone, 'singular_cone_deg', 1e-2, 30.0) * DEG
+    return Machine(
+        name=str(content.get('name', 'unnamed')),
+        axis_names=tuple(f'J{k}' for k in range(1, len(limits) + 1)),
+        limits=Limits(limits),
+        standstill=standstill(content),
+        control=control(content),
+        arm=found,
+        **shape,
     )
 
 

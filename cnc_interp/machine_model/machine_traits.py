@@ -32,25 +32,28 @@ class MachineTraits:
     #: Kinematics for blocks whose rotary axes run linearly. Without it there are none.
     geometry: FiveAxis | None = None
     max_jerk: FloatArray | None = None  #: (5 + k,): Jerk limits of all axes.
+    turns: bool = False  #: Whether the tool of a machine without a pole turns.
     pace: BlockPace | None = None  #: How its control goes through short blocks.
 
     def keeps_tool(self, axis: FloatArray) -> bool:
         """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""
         if self.pole is None:
-            return True
+            return not self.turns
         away = float(np.linalg.norm(np.cross(axis, self.pole)))
         return bool(away < np.sin(self.pole_cone))
 
 
-def traits_of(transform: FiveAxis) -> MachineTraits:
+def traits_of(transform: Transform) -> MachineTraits:
     machine = transform.machine
-    pole = tuple(float(x) for x in transform.pole) if machine.has_rotary else None
+    five_axis = transform.five_axis if machine.has_rotary else None
+    pole = None if five_axis is None else tuple(float(x) for x in five_axis.pole)
     return MachineTraits(
         axis_rates=partial(jerk_rates, transform),
         pole=pole,  # type: ignore[arg-type]
         pole_cone=machine.singular_cone,
-        geometry=transform if machine.has_rotary else None,
+        geometry=five_axis,
         max_jerk=machine.max_jerk if machine.has_rotary else None,
+        turns=not machine.is_linear.all(),
         pace=machine.pace,
     )
 

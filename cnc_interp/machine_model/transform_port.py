@@ -1,6 +1,6 @@
 """The port of a machine's kinematics: axis positions <-> poses of the tool in the workpiece.
 
-Rooms that need no more than ``Transform`` work for any machine. What asks for ``FiveAxis`` needs
+Rooms that need no more than ``Transform`` work for any machine. What asks for ``five_axis`` needs
 its rotary axes: words for them, its pole, or that X Y Z are its linear axes.
 """
 
@@ -12,11 +12,16 @@ import numpy as np
 
 from cnc_interp.core import BlockError, FloatArray
 from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine
 
 
 class Transform(Protocol):
     """The kinematics of a machine; rows of q have one column for each of ``machine.axes``."""
+
+    @property
+    def packed(self) -> FloatArray:
+        """The geometry for kernels: one row, or a row for each joint of a chain."""
 
     @property
     def machine(self) -> Machine:
@@ -34,9 +39,19 @@ class Transform(Protocol):
         The m axes are the first of the machine; NaN where the pose is singular or out of reach.
         """
 
+    def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
+        """Return what X Y Z of programs count where tips [m] are at rotary positions, (n, 3)."""
+
+    def tool_axis(self, rotary: FloatArray) -> FloatArray:
+        """Return the tool axes (n, 3) at positions of the rotary axes that words name."""
+
+    @property
+    def five_axis(self) -> FiveAxis:
+        """The closed form; raises MachineError where the machine has no X Y Z."""
+
     @staticmethod
-    def of(machine: Machine) -> FiveAxis:
-        return FiveAxis.of(machine)
+    def of(machine: Machine) -> Transform:
+        return FiveAxis.of(machine) if machine.arm is None else JointChain.of(machine)
 
 
 NO_PART = 1e-12  #: Smaller components of the tool's direction are rounding [-].
@@ -96,7 +111,7 @@ LEAST_LENGTH, SAME_AXIS = 1e-6, 1e-9
 
 
 def positions_of_pose(
-    transform: FiveAxis, tip: FloatArray, axis: FloatArray | None, stands: FloatArray
+    transform: Transform, tip: FloatArray, axis: FloatArray | None, stands: FloatArray
 ) -> FloatArray:
     """Return the axis positions of a tool pose, (n_axes,) [m, rad].
 
@@ -116,7 +131,7 @@ def positions_of_pose(
         if own == 3 and np.abs(wanted - present).max() > SAME_AXIS:
             raise ValueError('the tool of this machine does not turn; leave out I J K')
         if own == 5:
-            rotary, _ = start_positions(transform, wanted, np.full(2, np.nan), rotary, 0)
+            rotary, _ = start_positions(transform.five_axis, wanted, np.full(2, np.nan), rotary, 0)
     linear = transform.linear(tip[None, :], rotary[None, :])[0]
     extra = stands[own:]
     if len(extra):

@@ -17,7 +17,6 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
-from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
@@ -40,7 +39,7 @@ SHORT_WINDOWS = replace(LIVE, window_cells=16)
 TINY_TEXT = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nM30\n'
 
 
-def tiny_program(transform: FiveAxis) -> Blocks:
+def tiny_program(transform: Transform) -> Blocks:
     """Return three blocks: a corner, then an exact stop, the tool axis turning where it can."""
     rotary = np.array([[0.30, 0.20], [0.33, 0.25], [0.35, 0.32], [0.36, 0.35]])
     rotating = transform.machine.has_rotary
@@ -60,7 +59,7 @@ def tiny_program(transform: FiveAxis) -> Blocks:
     )
 
 
-def dense_program(transform: FiveAxis) -> Blocks:
+def dense_program(transform: Transform) -> Blocks:
     """Return a helix of short blocks between two lines, which its curve takes over in part."""
     count = 400
     u = np.linspace(0.0, 6.0, count)
@@ -77,14 +76,14 @@ def dense_program(transform: FiveAxis) -> Blocks:
     )
 
 
-def pole_program(transform: FiveAxis) -> Blocks:
-    pole = np.array(transform.pole)
+def pole_program(transform: Transform) -> Blocks:
+    pole = np.array(transform.five_axis.pole)
     side = np.linalg.svd(pole[None, :])[2][1]  # any direction at right angles
     ends = tiny_program(transform)[:2]
     return replace(ends, axis=np.cos(0.2) * pole + np.outer([np.sin(0.2), -np.sin(0.2)], side))
 
 
-def _endless(transform: FiveAxis) -> FiveAxis:
+def _endless(transform: Transform) -> Transform:
     endless = np.tile([-np.inf, np.inf], (len(transform.machine.axis_names), 1))
     return Transform.of(transform.machine.having(travel=endless))
 
@@ -102,7 +101,7 @@ def warm_kinematics(machine: str, period: float) -> AxisPath:
     loaded = Machine.load(machine)
     free = _endless(Transform.of(loaded))
     made = [warm_lookahead(machine)]
-    if loaded.has_rotary and free.pole is not None:
+    if loaded.has_rotary:
         made.append(segments_of(pole_program(free), free, Settings()))
     height = Settings().flank_height
     paths = [AxisPathBuilder(free, height, period).push(segments) for segments in made]

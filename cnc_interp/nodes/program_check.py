@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.core import BlockError, FloatArray, IntArray, InterpError, ProgramError
 from cnc_interp.core.small_files import open_named, require_allowed
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, WITHIN_MOTION, Blocks, BlockSpool
 from cnc_interp.program.blocks.block_modes import ModesOfBlocks
@@ -64,7 +64,7 @@ class Prepared:
 
 def prepare(
     goal: Any,
-    transform: FiveAxis,
+    transform: Transform,
     defaults: Settings,
     told: Callable[[float], None],
     folders: Sequence[str] = (),
@@ -116,7 +116,7 @@ def prepare_on(
     stands: FloatArray,
     at: FloatArray | None,
     setup: JobSetup,
-    transform: FiveAxis,
+    transform: Transform,
     told: Callable[[float], None],
 ) -> Prepared:
     """Read a program on after its probe, as ``ProgramStream.go_on``, and check what follows."""
@@ -132,7 +132,7 @@ def prepare_line(
     reader: MdiReader,
     setup: JobSetup,
     stands: FloatArray,
-    transform: FiveAxis,
+    transform: Transform,
     settings: Settings,
     told: Callable[[float], None],
 ) -> Prepared:
@@ -147,7 +147,7 @@ def check(
     stream: ProgramStream,
     setup: JobSetup,
     text: str,
-    transform: FiveAxis,
+    transform: Transform,
     settings: Settings,
     told: Callable[[float], None],
     may_rest: bool = False,

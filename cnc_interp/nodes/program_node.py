@@ -16,7 +16,6 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from cnc_interp.core import FloatArray, InterpError
-from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
@@ -53,7 +52,7 @@ class Mdi:
     def __init__(
         self,
         node: Any,
-        transform: FiveAxis,
+        transform: Transform,
         settings: Settings,
         of_machine: Callable[[], JobSetup],
     ):

@@ -10,7 +10,7 @@ from cnc_interp_msgs.msg import SetupTable as SetupMessage
 from cnc_interp_msgs.srv import ReadSetup, SetOffset, SetTool, TouchOff
 
 from cnc_interp.core import InterpError
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
@@ -30,7 +30,7 @@ class SetupServices:
         self,
         node: Any,
         table: tables.SetupTable,
-        transform: FiveAxis,
+        transform: Transform,
         peers: Peers,
         coordinates: Callable[[JobSetup], ProgramCoordinates],
     ):

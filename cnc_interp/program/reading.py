@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cnc_interp.core import FloatArray, ProgramError, RefusedLinesError
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.block_modes import ActiveModes, ModesOfBlocks
 from cnc_interp.program.blocks.functions import Functions
@@ -47,7 +47,7 @@ class ProgramStream:
     def __init__(
         self,
         source: Source,
-        geometry: FiveAxis,
+        geometry: Transform,
         settings: Settings,
         setup: JobSetup | None = None,
     ):
@@ -155,7 +155,7 @@ class ProgramStream:
 
 def open_program(
     path: Path,
-    geometry: FiveAxis,
+    geometry: Transform,
     settings: Settings,
     setup: JobSetup | None = None,
     folders: Sequence[str] | None = None,
@@ -165,7 +165,7 @@ def open_program(
 
 def read_program(
     path: Path,
-    geometry: FiveAxis,
+    geometry: Transform,
     settings: Settings | None = None,
     setup: JobSetup | None = None,
 ) -> Program:
@@ -180,7 +180,7 @@ def read_program(
 def read_text(
     text: str,
     source: str,
-    geometry: FiveAxis,
+    geometry: Transform,
     settings: Settings | None = None,
     setup: JobSetup | None = None,
 ) -> Program:
@@ -200,7 +200,7 @@ class MdiLine(ProgramStream):
 class MdiReader:
     """Lines by hand share one modal state; one that is refused changes nothing."""
 
-    def __init__(self, geometry: FiveAxis, settings: Settings):
+    def __init__(self, geometry: Transform, settings: Settings):
         self._geometry, self._settings = geometry, profiles.as_on(geometry, settings)
         self._last = self._reader('', Notices(), JobSetup())
 

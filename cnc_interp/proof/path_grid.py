@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from cnc_interp.core import MM, FloatArray, IntArray
-from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.proof import plan_files
 from cnc_interp.proof.limits_again import limits_at
 from cnc_interp.proof.overrides import Overrides, scaled
+from cnc_interp.proof.own_chain import forward_of
 from cnc_interp.proof.plan_files import (
     NO_LENGTH,
     PATH_CELLS,
@@ -36,7 +36,7 @@ ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 def prove_grid(ledger: Ledger, overrides: Overrides) -> None:
     plan, machine = ledger.plan, ledger.machine
     path, s, rows = plan.path, np.asarray(plan.path['s']), np.asarray(plan.path['block'])
-    points, transform = len(s), Transform.of(machine)
+    points, transform = len(s), forward_of(machine)
     rising = bool((np.diff(s) > 0.0).all())
     width = np.maximum(np.diff(s), ROUNDED)
     largest = np.zeros((4, len(machine.axis_names)))

@@ -8,10 +8,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
+from cnc_interp.proof.own_chain import Forward, forward_of
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath
 
@@ -28,7 +27,7 @@ BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 
 @dataclass(frozen=True)
 class ProgrammedAxes:
-    machine: FiveAxis  #: The forward kinematics.
+    machine: Forward  #: The forward kinematics.
     #: (M,): Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
     known: BoolArray
     #: (M,): Rows whose rotary axes run linearly; known rows in coordinates of the machine axes.
@@ -51,7 +50,7 @@ class ProgrammedAxes:
         linear = kind != POSES
         if not linear.any() or not machine.has_rotary:
             return None
-        tip, axis, transform = blocks['tip'], blocks['axis'], Transform.of(machine)
+        tip, axis, transform = blocks['tip'], blocks['axis'], forward_of(machine)
         before = np.r_[0, np.arange(len(tip) - 1)]
         turned = np.abs(axis - axis[before]).max(axis=1)
         still = ~linear & (turned < SAME) & (np.linalg.norm(tip - tip[before], axis=1) > SAME)
@@ -204,7 +203,7 @@ class _Search:
         return gaps, np.asarray((gaps * np.tile(weight, 2)).max(axis=1))
 
 
-def axis_positions(machine: FiveAxis, coordinates: FloatArray) -> FloatArray:
+def axis_positions(machine: Forward, coordinates: FloatArray) -> FloatArray:
     """Return X Y Z at which the tip is where it should be, from the forward kinematics alone."""
     at = coordinates.copy()
     at[:, :3] = 0.0
@@ -227,7 +226,7 @@ REACH = 142.0
 class ProgramShapes:
     plan: PlanFiles  #: The plan, with M program rows.
     machine: Machine  #: The machine.
-    transform: FiveAxis  #: Its forward kinematics.
+    transform: Forward  #: Its forward kinematics.
     path: ProgrammedPath  #: The rows as lines and great circles.
     lines: ProgrammedAxes | None  #: Rows whose rotary axes run linearly.
     #: (M,): Tolerances at the vertices [m].
@@ -248,7 +247,7 @@ class ProgramShapes:
         return ProgramShapes(
             plan,
             machine,
-            Transform.of(machine),
+            forward_of(machine),
             path,
             ProgrammedAxes.of(plan, machine),
             *vertex_tolerances(plan),

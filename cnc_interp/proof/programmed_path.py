@@ -18,7 +18,7 @@ from scipy.interpolate import BSpline
 from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.proof.own_chain import Forward, forward_of
 from cnc_interp.proof.plan_files import Columns, PlanFiles, Stored, held, spans
 
 WINDOW = 2  #: Rows searched on either side of the row to which a setpoint belongs.
@@ -326,7 +326,7 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
         count += len(parts[-1]['tip'])
 
     def renumbered(block: Any, position: Any) -> Stored:
-        return _renumbered(block, position, new, curves, Transform.of(machine), plan.flank_height)
+        return _renumbered(block, position, new, curves, forward_of(machine), plan.flank_height)
 
     path = plan.path
     if path:
@@ -350,7 +350,7 @@ def _renumbered(
     position: Any,
     new: IntArray,
     curves: dict[tuple[int, int], FloatArray],
-    transform: Transform,
+    transform: Forward,
     height: float,
 ) -> Stored:
     rows, reached = Stored.empty(len(block), np.int64), dict.fromkeys(curves, 0)

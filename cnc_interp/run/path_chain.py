@@ -14,8 +14,8 @@ from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine_traits import traits_of
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
@@ -59,7 +59,7 @@ class PathPart:
 class PathChain:
     """Blocks in, segments and their path in machine axes out."""
 
-    def __init__(self, transform: FiveAxis, settings: Settings, watch: Stopwatch | None = None):
+    def __init__(self, transform: Transform, settings: Settings, watch: Stopwatch | None = None):
         self._smoother = smoother_of(transform, settings)
         height, period = settings.flank_height, settings.interpolation_period
         self._builder = AxisPathBuilder(transform, height, period)
@@ -72,7 +72,7 @@ class PathChain:
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        return self._builder.passages.notice
+        return self._builder.notice
 
     def push(self, blocks: Blocks) -> PathPart:
         return self._in_axes(self._watch.timed('smoothing', self._smoother.push, blocks))
@@ -86,12 +86,12 @@ class PathChain:
         return PathPart(segments if done is None else done, path)
 
 
-def smoother_of(transform: FiveAxis, settings: Settings) -> PathSmoother:
+def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
     return PathSmoother(settings, traits_of(transform), partial(is_faster, transform, settings))
 
 
 def is_faster(
-    transform: FiveAxis, settings: Settings, ways: Sequence[Way], others: Sequence[Way]
+    transform: Transform, settings: Settings, ways: Sequence[Way], others: Sequence[Way]
 ) -> bool:
     """Tell whether the fastest of some ways saves time over the fastest of the others."""
     first, second = (
@@ -101,7 +101,7 @@ def is_faster(
     return first < (1.0 - WORTH) * second
 
 
-def way_time(transform: FiveAxis, settings: Settings, way: Way) -> float:
+def way_time(transform: Transform, settings: Settings, way: Way) -> float:
     """Return the time of a way [s]; infinite if the machine cannot execute its blocks."""
     # Every corner is rounded, and every run of short blocks becomes a curve.
     smoother = PathSmoother(_with_curves(settings, way.curves), traits_of(transform))
@@ -128,7 +128,7 @@ def batches(blocks: Blocks) -> Iterator[Blocks]:
         yield blocks[first : first + BATCH]
 
 
-def segments_of(blocks: Blocks, transform: FiveAxis, settings: Settings) -> PathSegments:
+def segments_of(blocks: Blocks, transform: Transform, settings: Settings) -> PathSegments:
     smoother = smoother_of(transform, settings)
     parts = [smoother.push(batch) for batch in batches(blocks)]
     return PathSegments.concatenate([part for part in [*parts, smoother.finish()] if len(part)])

@@ -13,7 +13,7 @@ from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.clearance_stage import LiveClearance
 from cnc_interp.run.course import SAME, from_place
@@ -47,7 +47,7 @@ class RunPlanner:
 
     def __init__(
         self,
-        transform: FiveAxis,
+        transform: Transform,
         choices: Settings,
         chunk_time: float,
         stands: FloatArray,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, POSES, ROTARY_LINEAR
 from cnc_interp.program.geometry import arcs
 from cnc_interp.program.geometry import target_row as col
@@ -50,7 +50,7 @@ class Moves:
 
     def __init__(
         self,
-        geometry: FiveAxis,
+        geometry: Transform,
         zero: FloatArray,
         before: FloatArray,
         rows: FloatArray,
@@ -161,7 +161,7 @@ class Moves:
         """Return which motions come so near to the pole that words must rule, shape (m,)."""
         cone = POLE_TOLERANCES * self.rows[row, col.ORIENTATION] / height
         ends = self._before[row, col.ROTARY], self.rows[row, col.ROTARY]
-        near = self._geometry.nearest_to_pole(*ends)
+        near = self._geometry.five_axis.nearest_to_pole(*ends)
         return np.asarray(near < np.maximum(cone, self._geometry.machine.singular_cone))
 
     def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:

@@ -9,7 +9,7 @@ from math import inf, nan
 import numpy as np
 
 from cnc_interp.core import DEG, FloatArray, IntArray, ProgramError
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import (
     GO_ON,
     OPEN_CORNER,
@@ -56,7 +56,7 @@ class ProgramChange:
 
 
 class TargetColumns:
-    def __init__(self, geometry: FiveAxis, settings: Settings, source: str):
+    def __init__(self, geometry: Transform, settings: Settings, source: str):
         self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
         self._radius: CutterRadius | None = None
@@ -357,7 +357,7 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
     return counts
 
 
-def start_pose(here: Moves, geometry: FiveAxis, extra: list[int]) -> Blocks:
+def start_pose(here: Moves, geometry: Transform, extra: list[int]) -> Blocks:
     row = here.rows
     tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
     rotary = row[:, col.ROTARY].copy()

@@ -6,7 +6,7 @@ from copy import deepcopy
 
 from cnc_interp.core import FloatArray
 from cnc_interp.machine_model import signals
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
 from cnc_interp.program.blocks.functions import Acting, acting
 from cnc_interp.program.blocks.targets import TargetColumns
@@ -34,7 +34,7 @@ State = tuple[dict[str, object], dict[str, str]]
 class Execution:
     def __init__(
         self,
-        geometry: FiveAxis,
+        geometry: Transform,
         settings: Settings,
         setup: JobSetup,
         source: Source,

@@ -9,8 +9,8 @@ from math import inf, nan
 import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
-from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.signals import FOLLOWS
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
 from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.geometry.contact_normal import ContactPath
@@ -93,7 +93,7 @@ def frame_words(frames: Frames, unit: float) -> list[str]:
 class ModalState(ModalValues):
     def __init__(
         self,
-        geometry: FiveAxis,
+        geometry: Transform,
         settings: Settings,
         setup: JobSetup,
         flow: Flow,
@@ -106,8 +106,7 @@ class ModalState(ModalValues):
         self.targets = TargetColumns(geometry, settings, flow.main.name)
         self.probed: dict[int, float] = {}  # variables of the last probe
         self.extra_letters = tuple(geometry.machine.extra_names)
-        own = len(geometry.machine.axis_names) - len(self.extra_letters)
-        self.rotary_letters = tuple(geometry.machine.axis_names[3:own])
+        self.rotary_letters = geometry.machine.rotary_names
         self.dialect = PLAIN
         self.unit = INCH if settings.units == 'inch' else MM
         self.centre_absolute = settings.arc_centres == 'absolute'
@@ -320,9 +319,9 @@ class ModalState(ModalValues):
         """Compute the rotary positions after direction words, nearest to the last rotary words."""
         if self.vector is None:
             return
-        upright = np.abs(np.cross(self.vector, self.geometry.pole)).max() < UPRIGHT
+        upright = np.abs(np.cross(self.vector, self.geometry.five_axis.pole)).max() < UPRIGHT
         free = self.rotary if upright else None
-        near = self.geometry.branches(self.vector, self.rotary, free)
+        near = self.geometry.five_axis.branches(self.vector, self.rotary, free)
         self.demand(
             near, 'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
         )

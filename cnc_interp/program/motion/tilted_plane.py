@@ -215,7 +215,7 @@ class TiltedPlane:
                 code,
             )
             return mover.rotary
-        geometry, low, high = mover.geometry, *mover.geometry.machine.travel[3:5].T
+        geometry, low, high = mover.geometry.five_axis, *mover.geometry.machine.travel[3:5].T
         tilting = 1 - geometry.outer
         found, free = [], None
         upright = np.arccos(np.clip(normal @ geometry.pole, -1.0, 1.0))

@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from cnc_interp.core import MINUTE, MM, MM_PER_MIN, DependsOn, FloatArray, ProgramError
-from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
 from cnc_interp.program.blocks.functions import acting
@@ -82,7 +82,7 @@ class Statement(NamedTuple):
 
 
 class ClReader:
-    def __init__(self, geometry: FiveAxis, settings: Settings, source: Source, notices: Notices):
+    def __init__(self, geometry: Transform, settings: Settings, source: Source, notices: Notices):
         self.settings, self.source, self.notices = settings, source, notices
         self.targets = TargetColumns(geometry, settings, source.name)
         self.used: set[str] = set()  # nothing of the setup

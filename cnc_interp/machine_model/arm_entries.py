@@ -1,0 +1,208 @@
+"""Entries of a machine file that describes an arm: a chain of joints from a URDF, and limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import cos, inf, sin
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cnc_interp.core import DEG, MM, FloatArray, MachineError
+from cnc_interp.core.axis_limits import AxisLimits
+from cnc_interp.core.small_files import UnreadableError, read_yaml, small_text
+from cnc_interp.machine_model.machine_entries import (
+    PLAUSIBLE,
+    number,
+    numbers,
+    require_known,
+)
+
+LONGEST_URDF = 1 << 22  #: [bytes].
+#: Times in which a joint is guessed to reach its velocity and its acceleration [s].
+GUESS = (0.4, 0.1)
+ORDERS = ('velocity', 'acceleration', 'jerk')
+ORIGIN = {'xyz': '0 0 0', 'rpy': '0 0 0'}
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm at zero, in the workpiece frame W, with its joints from the part to the tool."""
+
+    joints: tuple[str, ...]  #: Names in the URDF.
+    lines: FloatArray  #: (n, 6): Direction of each joint [-], and a point on it [m].
+    #: (3, 3): Tip [m], side and axis of the tool [-]; the axis points away from the part.
+    tool: FloatArray
+    home: FloatArray  #: (n,): Configurations near these positions are preferred [rad].
+    spin: float  #: Turn of the tool about its axis [rad].
+    guessed: tuple[str, ...] = field(default_factory=tuple)  #: Limits that are not known.
+
+
+def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, ...]]:
+    """Read what a machine file says of an arm; files that it names are in ``folder``."""
+    robot = _robot(content, folder)
+    elements = {joint.get('name', ''): joint for joint in robot.iter('joint')}
+    parents = {_link(joint, 'child'): joint for joint in elements.values()}
+    flange, base = _frame(content, 'flange'), _frame(content, 'base')
+    here, names, lines = np.linalg.inv(_pose(content, 'part', base, parents)), [], []
+    for joint in _chain(parents, base, flange):
+        here, name, kind = here @ _origin(joint), joint.get('name', ''), joint.get('type')
+        if kind == 'fixed':
+            continue
+        if kind not in ('revolute', 'continuous') or joint.find('mimic') is not None:
+            why = 'is neither fixed nor a plain revolute joint; only those are supported yet'
+            raise MachineError(f'joint {name} of the URDF {why}', 'urdf')
+        along = joint.find('axis')
+        direction = _words('1 0 0' if along is None else along.get('xyz', ''), name, 3)
+        length = float(np.linalg.norm(direction))
+        if not length > 0.0:
+            raise MachineError(f'joint {name} of the URDF has an axis of no length', 'urdf')
+        names.append(name)
+        lines.append([*here[:3, :3] @ direction / length, *here[:3, 3]])
+    if len(names) != 6:
+        why = f'{len(names)} joints turn between {base} and {flange}; an arm has 6 for now'
+        raise MachineError(why, 'urdf')
+    tool = here @ _pose(content, 'tcp', flange, parents)
+    limits, guessed = _limits(content, folder, names, elements)
+    home = np.array(numbers(content.get('home_deg', [0.0] * 6), 6, 'home_deg')) * DEG
+    spin = numbers([content.get('spin_deg', 0.0)], 1, 'spin_deg')[0] * DEG
+    # Z of the TCP points out of the tool, the tool axis of programs from the tip to the holder.
+    shape = np.array([tool[:3, 3], tool[:3, 0], -tool[:3, 2]])
+    return Arm(tuple(names), np.array(lines), shape, home, spin, guessed), limits
+
+
+def _robot(content: dict[str, Any], folder: Path) -> ElementTree.Element:
+    try:
+        text = small_text(folder / str(content['urdf']), LONGEST_URDF)
+        if '<!ENTITY' in text:
+            raise UnreadableError('it defines entities')
+        return ElementTree.fromstring(text)
+    except (OSError, UnreadableError, ElementTree.ParseError, ValueError) as problem:
+        raise MachineError(
+            f'{content["urdf"]}: cannot be read as URDF: {problem}', 'urdf'
+        ) from None
+
+
+def _frame(content: dict[str, Any], key: str) -> str:
+    if not isinstance(content.get(key), str):
+        raise MachineError('missing; name a link of the URDF', key)
+    return str(content[key])
+
+
+def _link(joint: ElementTree.Element, end: str) -> str:
+    found = joint.find(end)
+    return '' if found is None else found.get('link', '')
+
+
+def _words(text: str, joint: str, count: int) -> FloatArray:
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise MachineError(f'joint {joint} of the URDF: {text!r} must be {count} numbers', 'urdf')
+    return values
+
+
+def _chain(
+    parents: dict[str, ElementTree.Element], base: str, link: str
+) -> list[ElementTree.Element]:
+    joints, at = list[ElementTree.Element](), link
+    while at != base:
+        if at not in parents or len(joints) > len(parents):
+            raise MachineError(f'no joints of the URDF lead from {base} to {link}', 'urdf')
+        joints.insert(0, parents[at])
+        at = _link(parents[at], 'parent')
+    return joints
+
+
+def _origin(joint: ElementTree.Element) -> FloatArray:
+    origin, name = joint.find('origin'), joint.get('name', '')
+    words = ORIGIN if origin is None else ORIGIN | origin.attrib
+    xyz, rpy = (_words(words[key], name, 3) for key in ORIGIN)
+    return _matrix(xyz, rpy)
+
+
+def _pose(
+    content: dict[str, Any], key: str, link: str, parents: dict[str, ElementTree.Element]
+) -> FloatArray:
+    """Return the pose of a frame in a link: numbers, or the name of a link fixed to it."""
+    given = content.get(key)
+    if isinstance(given, str):
+        found = np.eye(4)
+        for joint in _chain(parents, link, given):
+            if joint.get('type') != 'fixed':
+                raise MachineError(f'{given} is not fixed to {link}', key)
+            found = found @ _origin(joint)
+        return found
+    if not isinstance(given, dict):
+        raise MachineError(
+            'missing; name a link, or give {xyz_mm: [x, y, z], rpy_deg: [r, p, y]}', key
+        )
+    require_known(given, ('xyz_mm', 'rpy_deg'), key)
+    xyz, rpy = (numbers(given.get(k, [0.0] * 3), 3, f'{key}.{k}') for k in ('xyz_mm', 'rpy_deg'))
+    return _matrix(np.array(xyz) * MM, np.array(rpy) * DEG)
+
+
+def _matrix(xyz: FloatArray, rpy: FloatArray) -> FloatArray:
+    """Return the pose of a frame as a matrix (4, 4): turned about fixed X, then Y, then Z."""
+    (r, p, y), found = rpy, np.eye(4)
+    about_x = np.array([[1, 0, 0], [0, cos(r), -sin(r)], [0, sin(r), cos(r)]])
+    about_y = np.array([[cos(p), 0, sin(p)], [0, 1, 0], [-sin(p), 0, cos(p)]])
+    about_z = np.array([[cos(y), -sin(y), 0], [sin(y), cos(y), 0], [0, 0, 1]])
+    found[:3, :3], found[:3, 3] = about_z @ about_y @ about_x, xyz
+    return found
+
+
+def _limits(
+    content: dict[str, Any],
+    folder: Path,
+    names: Sequence[str],
+    elements: dict[str, ElementTree.Element],
+) -> tuple[tuple[AxisLimits, ...], tuple[str, ...]]:
+    """Return the limits of the joints: MoveIt's ``joint_limits``, else those of the URDF."""
+    given, guess = content.get('joint_limits'), content.get('limits') == 'guess'
+    if isinstance(given, str):
+        try:
+            given = read_yaml(folder / given)
+        except (OSError, UnreadableError) as problem:
+            raise MachineError(f'cannot be read: {problem}', 'joint_limits') from None
+        given = given.get('joint_limits') if isinstance(given, dict) else None
+    if not isinstance(given, dict):
+        if not guess:
+            raise MachineError('missing; name the joint_limits.yaml of MoveIt', 'joint_limits')
+        given = {}
+    limits, guessed = list[AxisLimits](), list[str]()
+    for number_, name in enumerate(names, start=1):
+        own, where = given.get(name) or {}, f'joint_limits.{name}'
+        if not isinstance(own, dict):
+            raise MachineError('must hold max_velocity and others', where)
+        told = elements[name].find('limit')
+        urdf = {} if told is None else told.attrib
+        found = list[float]()
+        for k, (order, bounds) in enumerate(zip(ORDERS, PLAUSIBLE[False], strict=True)):
+            value = own.get(f'max_{order}') if own.get(f'has_{order}_limits') else None
+            if value is None and order == 'velocity' and 'velocity' in urdf:
+                value = float(_words(urdf['velocity'], name, 1)[0])
+            if value is None and guess and found:
+                value = found[-1] / GUESS[k - 1]
+                guessed.append(f'J{number_} {order}')
+            if value is None:
+                why = f'max_{order} (has_{order}_limits) is missing; or plan with --limits guess'
+                raise MachineError(why, where)
+            found.append(number(value, f'{where}.max_{order}', *bounds))
+        travel = np.array([-inf, inf])
+        if elements[name].get('type') == 'revolute':
+            travel = _words(f'{urdf.get("lower", "")} {urdf.get("upper", "")}', name, 2)
+        if own.get('has_position_limits'):
+            given_ends = [own.get(f'{end}_position') for end in ('min', 'max')]
+            travel = np.clip(
+                numbers(given_ends, 2, f'{where}.min_position, max_position'), *travel
+            )
+        if not travel[0] < travel[1]:
+            raise MachineError('its lowest position must be below its highest', where)
+        velocity, acceleration, jerk = found
+        ends = float(travel[0]), float(travel[1])
+        limits.append(AxisLimits(velocity, acceleration, jerk, ends))
+    return tuple(limits), tuple(guessed)

@@ -1,0 +1,349 @@
+"""A chain of joints from the part to the tool, compiled: place, inverse, and exact jets.
+
+Each joint is a line in W at q = 0: the direction and a point of its axis. With all of them turned,
+
+    x(q) = S_1(q_1) ... S_n(q_n) x(0),   S_i(q) x = a_i + Rot(u_i, q) (x - a_i)
+
+for points of the tool, the last joint nearest to it. Directions turn likewise, without the points.
+"""
+
+from math import pi
+
+import numpy as np
+
+from cnc_interp.core import FloatArray, jet
+from cnc_interp.core.jet import Vector, VectorJet
+from cnc_interp.core.kernels import njit
+from cnc_interp.machine_model.transform_kernels import turned
+
+#: Places in a row of the packed chain: direction and point of a joint. Two rows follow the joints:
+#: the tip and the side of the tool at q = 0; its axis, then reach [m], spin [rad].
+DIRECTION, POINT = slice(0, 3), slice(3, 6)
+TIP, SIDE, AXIS, REACH, SPIN = 0, 3, 0, 3, 4
+#: Newton: most steps, longest one [rad], and the misfit at which it has ended [-].
+STEPS, LONGEST, ENDED = 60, 0.4, 1e-13
+UNSOLVED, REVERSED = -1.0, 0.0  #: Measures of poses out of reach, and past a singular pose.
+#: Sine of the angle to part -Z at which no side of the tool is defined.
+LEAST_UPRIGHT = 1e-6
+
+
+@njit(cache=True, nogil=True)
+def row(packed: FloatArray, i: int, first: int) -> Vector:
+    return (packed[i, first], packed[i, first + 1], packed[i, first + 2])
+
+
+@njit(cache=True, nogil=True)
+def place(packed: FloatArray, q: FloatArray) -> tuple[Vector, Vector, Vector]:
+    """Return tip [m], side and axis of the tool in W at joint positions (n,) [rad]."""
+    n = len(q)
+    tip, side, axis = row(packed, n, TIP), row(packed, n, SIDE), row(packed, n + 1, AXIS)
+    for k in range(n):
+        i = n - 1 - k
+        u, a = row(packed, i, 0), row(packed, i, 3)
+        x, y, z = turned(u, q[i], tip[0] - a[0], tip[1] - a[1], tip[2] - a[2])
+        tip = (x + a[0], y + a[1], z + a[2])
+        side = turned(u, q[i], side[0], side[1], side[2])
+        axis = turned(u, q[i], axis[0], axis[1], axis[2])
+    return tip, side, axis
+
+
+@njit(cache=True, nogil=True)
+def cross(a: Vector, b: Vector) -> Vector:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+@njit(cache=True, nogil=True)
+def rates_of_pose(packed: FloatArray, q: FloatArray, tip: Vector) -> FloatArray:
+    """Return how tip, over the reach, and tool turn with each joint, (6, n) [1/rad, -]."""
+    n, reach = len(q), packed[len(q) + 1, REACH]
+    found = np.empty((6, n))
+    for j in range(n):
+        u, a = row(packed, j, 0), row(packed, j, 3)
+        for k in range(j):
+            i = j - 1 - k
+            v, b = row(packed, i, 0), row(packed, i, 3)
+            u = turned(v, q[i], u[0], u[1], u[2])
+            x, y, z = turned(v, q[i], a[0] - b[0], a[1] - b[1], a[2] - b[2])
+            a = (x + b[0], y + b[1], z + b[2])
+        moved = cross(u, (tip[0] - a[0], tip[1] - a[1], tip[2] - a[2]))
+        for i in range(3):
+            found[i, j], found[3 + i, j] = moved[i] / reach, u[i]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def factorised(a: FloatArray, order: FloatArray) -> tuple[float, float]:
+    """Factorise a square matrix in place; return its smallest pivot and the determinant's sign.
+
+    ``order`` (n,) gets the rows that were chosen.
+    """
+    n, sign, least = len(a), 1.0, np.inf
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(a[i, k]) > abs(a[best, k]):
+                best = i
+        order[k] = best
+        if best != k:
+            sign = -sign
+            for j in range(n):
+                a[k, j], a[best, j] = a[best, j], a[k, j]
+        pivot = a[k, k]
+        least = min(least, abs(pivot))
+        sign = sign if pivot >= 0.0 else -sign
+        if pivot == 0.0:
+            return 0.0, sign
+        for i in range(k + 1, n):
+            a[i, k] /= pivot
+            for j in range(k + 1, n):
+                a[i, j] -= a[i, k] * a[k, j]
+    return least, sign
+
+
+@njit(cache=True, nogil=True)
+def solved(a: FloatArray, order: FloatArray, b: FloatArray) -> None:
+    """Solve for ``b`` (n,) in place with a factorised matrix."""
+    n = len(a)
+    for k in range(n):
+        best = int(order[k])
+        b[k], b[best] = b[best], b[k]
+    for i in range(n):
+        for j in range(i):
+            b[i] -= a[i, j] * b[j]
+    for k in range(n):
+        i = n - 1 - k
+        for j in range(i + 1, n):
+            b[i] -= a[i, j] * b[j]
+        b[i] /= a[i, i]
+
+
+@njit(cache=True, nogil=True, inline='always')
+def crossed(a: VectorJet, b: VectorJet) -> VectorJet:
+    return (
+        jet.subtract(jet.multiply(a[1], b[2]), jet.multiply(a[2], b[1])),
+        jet.subtract(jet.multiply(a[2], b[0]), jet.multiply(a[0], b[2])),
+        jet.subtract(jet.multiply(a[0], b[1]), jet.multiply(a[1], b[0])),
+    )
+
+
+@njit(cache=True, nogil=True, error_model='numpy')  # not finite where the tool points down
+def side_jets(o: VectorJet, spin: float) -> VectorJet:
+    """Return the jets of the side of a tool along ``o``, so turned about it [rad].
+
+    At zero it is part X carried from part Z to o by the least turn.
+    """
+    share = jet.divide(o[0], (1.0 + o[2][0], o[2][1], o[2][2], o[2][3]))
+    x = (
+        jet.subtract(jet.constant(1.0), jet.multiply(share, o[0])),
+        jet.scale(jet.multiply(share, o[1]), -1.0),
+        jet.scale(o[0], -1.0),
+    )
+    y = crossed(o, x)
+    s, c = np.sin(spin), np.cos(spin)
+    return (
+        jet.add(jet.scale(x[0], c), jet.scale(y[0], s)),
+        jet.add(jet.scale(x[1], c), jet.scale(y[1], s)),
+        jet.add(jet.scale(x[2], c), jet.scale(y[2], s)),
+    )
+
+
+@njit(cache=True, nogil=True)
+def tool_jets(packed: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the jets of tip [m], side and axis of the tool, (3, 3, 4), for jets (4, n) of q."""
+    n = q.shape[1]
+    tool, turn, before = np.zeros((3, 3, 4)), np.empty((3, 3, 4)), np.empty((3, 4))
+    for i in range(3):
+        tool[0, i, 0], tool[1, i, 0] = packed[n, TIP + i], packed[n, SIDE + i]
+        tool[2, i, 0] = packed[n + 1, AXIS + i]
+    for back in range(n):
+        k = n - 1 - back
+        joint = packed[k]
+        s, c = jet.sine_cosine((q[0, k], q[1, k], q[2, k], q[3, k]))
+        for i in range(3):
+            for j in range(3):
+                along, across, same = joint[i] * joint[j], 0.0, 1.0
+                if i != j:  # of u x: row i, column j
+                    same = 0.0
+                    across = joint[3 - i - j] if (j - i) % 3 == 2 else -joint[3 - i - j]
+                for m in range(4):
+                    turn[i, j, m] = c[m] * (same - along) + s[m] * across
+                turn[i, j, 0] += along
+        for v in range(3):
+            before[:] = tool[v]
+            if v == 0:
+                before[:, 0] -= joint[POINT]
+            for i in range(3):
+                for m in range(4):
+                    total = 0.0
+                    for j in range(3):
+                        for order in range(m + 1):
+                            total += turn[i, j, order] * before[j, m - order]
+                    tool[v, i, m] = total
+            if v == 0:
+                tool[0, :, 0] += joint[POINT]
+    return tool
+
+
+@njit(cache=True, nogil=True)
+def misfit(tool: FloatArray, wanted: FloatArray, reach: float, k: int) -> FloatArray:
+    """Return coefficient k of wanted less found place, (6,): tip over reach, turn [-].
+
+    Both are jets of tip, side and axis, (3, 3, 4). If all lower orders agree, a turn d moves the
+    sum of r x e over side and axis by d + y (y . d), with y across both.
+    """
+    found, y = np.zeros(6), np.empty(3)
+    for i in range(3):
+        j, m = (i + 1) % 3, (i + 2) % 3
+        found[i] = (wanted[0, i, k] - tool[0, i, k]) / reach
+        y[i] = tool[2, j, 0] * tool[1, m, 0] - tool[2, m, 0] * tool[1, j, 0]
+        for v in range(1, 3):
+            for order in range(k + 1):
+                found[3 + i] += tool[v, j, order] * wanted[v, m, k - order]
+                found[3 + i] -= tool[v, m, order] * wanted[v, j, k - order]
+    along = 0.5 * (y[0] * found[3] + y[1] * found[4] + y[2] * found[5])
+    for i in range(3):
+        found[3 + i] -= along * y[i]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def wanted_jets(p: VectorJet, o: VectorJet, spin: float) -> FloatArray:
+    """Return the jets of tip, side and axis of the tool, (3, 3, 4)."""
+    x = side_jets(o, spin)
+    return np.array((p, x, o))
+
+
+@njit(cache=True, nogil=True)
+def joint_jets(
+    packed: FloatArray, p: VectorJet, o: VectorJet, near: FloatArray, sense: float
+) -> tuple[FloatArray, float]:
+    """Return the joints with three Taylor coefficients, (4, n), for jets of tip and tool axis.
+
+    Newton begins ``near`` (n,). The measure is the square of the smallest pivot of the rates of
+    the pose; it is ``UNSOLVED`` out of reach, and ``REVERSED`` where the sign of their determinant
+    is not ``sense``, so that a singular pose lies between; 0 takes both.
+    """
+    n = len(near)
+    q, order = np.zeros((4, n)), np.empty(n)
+    q[0] = near
+    if o[2][0] < LEAST_UPRIGHT - 1.0:
+        return q, UNSOLVED
+    wanted, reach = wanted_jets(p, o, packed[n + 1, SPIN]), packed[n + 1, REACH]
+    size, last = np.inf, False
+    for _ in range(STEPS):
+        tool = tool_jets(packed, q)
+        gap = misfit(tool, wanted, reach, 0)
+        size, before = np.sqrt((gap * gap).sum()), size
+        rates = rates_of_pose(packed, q[0], (tool[0, 0, 0], tool[0, 1, 0], tool[0, 2, 0]))
+        least, sign = factorised(rates, order)
+        if least == 0.0:
+            return q, REVERSED
+        if last or size == 0.0:
+            break
+        last = size < ENDED or (size < 1e3 * ENDED and size >= before)
+        solved(rates, order, gap)
+        longest = np.abs(gap).max()
+        q[0] += gap * min(1.0, LONGEST / max(longest, LONGEST))
+    alike = 0.0  # 2, or below 0 where half a turn lies between, which is no misfit either
+    for i in range(3):
+        alike += tool[1, i, 0] * wanted[1, i, 0] + tool[2, i, 0] * wanted[2, i, 0]
+    if alike < 1.0 or (not last and size > 0.0):
+        return q, UNSOLVED
+    for k in range(1, 4):
+        gap = misfit(tool_jets(packed, q), wanted, reach, k)
+        solved(rates, order, gap)
+        q[k] = gap
+    return q, REVERSED if sense * sign < 0.0 else least * least
+
+
+@njit(cache=True, nogil=True)
+def forward(packed: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return tool tips [m] and axes [-], shape (m, 3), of joint positions (m, n)."""
+    tip, axis = np.empty((len(q), 3)), np.empty((len(q), 3))
+    for i in range(len(q)):
+        p, _, o = place(packed, q[i])
+        for k in range(3):
+            tip[i, k], axis[i, k] = p[k], o[k]
+    return tip, axis
+
+
+@njit(cache=True, nogil=True)
+def pose_jets(
+    tip: FloatArray, axis: FloatArray, step: FloatArray, slope: FloatArray
+) -> tuple[VectorJet, VectorJet]:
+    """Return the jets of a pose (3,) with its first derivatives."""
+    return (
+        (tip[0], step[0], 0.0, 0.0),
+        (tip[1], step[1], 0.0, 0.0),
+        (tip[2], step[2], 0.0, 0.0),
+    ), (
+        (axis[0], slope[0], 0.0, 0.0),
+        (axis[1], slope[1], 0.0, 0.0),
+        (axis[2], slope[2], 0.0, 0.0),
+    )
+
+
+@njit(cache=True, nogil=True)
+def solutions(
+    packed: FloatArray, tip: FloatArray, axis: FloatArray, seeds: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return joints (m, n) in (-pi, pi] from seeds (m, n), and the measures (m,), for a pose."""
+    still = np.zeros(3)
+    p, o = pose_jets(tip, axis, still, still)
+    found, measure = np.empty_like(seeds), np.empty(len(seeds))
+    for i in range(len(seeds)):
+        q, measure[i] = joint_jets(packed, p, o, seeds[i], 0.0)
+        for j in range(seeds.shape[1]):
+            found[i, j] = q[0, j] - 2.0 * pi * np.ceil(q[0, j] / (2.0 * pi) - 0.5)
+    return found, measure
+
+
+@njit(cache=True, nogil=True)
+def followed(
+    packed: FloatArray, tip: FloatArray, axis: FloatArray, start: FloatArray
+) -> tuple[FloatArray, float]:
+    """Follow poses (m, 3) from joints near the first one; return joints (m, n), least measure.
+
+    It ends where a pose is out of reach, or beyond a singular one.
+    """
+    q, least, sense = np.empty((len(tip), len(start))), np.inf, 0.0
+    near, still, order = start.copy(), np.zeros(3), np.empty(len(start))
+    for i in range(len(tip)):
+        p, o = pose_jets(tip[i], axis[i], still, still)
+        found, measure = joint_jets(packed, p, o, near, sense)
+        least = min(least, measure)
+        if measure <= 0.0:
+            return q[:i], least
+        if sense == 0.0:
+            rates = rates_of_pose(packed, found[0], place(packed, found[0])[0])
+            sense = factorised(rates, order)[1]
+        near = found[0]
+        q[i] = near
+    return q, least
+
+
+@njit(cache=True, nogil=True)
+def rates(
+    packed: FloatArray,
+    home: FloatArray,
+    tip: FloatArray,
+    axis: FloatArray,
+    step: FloatArray,
+    turn: FloatArray,
+) -> FloatArray:
+    """Return q_s of the joints nearest to ``home``, (m, n); rows as in ``Transform.rates``."""
+    found = np.full((len(tip), len(home)), np.nan)
+    for i in range(len(tip)):
+        o, w = axis[i], turn[i]
+        slope = np.array(
+            [w[1] * o[2] - w[2] * o[1], w[2] * o[0] - w[0] * o[2], w[0] * o[1] - w[1] * o[0]]
+        )
+        p, tool = pose_jets(tip[i], o, step[i], slope)
+        q, measure = joint_jets(packed, p, tool, home, 0.0)
+        if measure > 0.0:
+            found[i] = q[1]
+    return found

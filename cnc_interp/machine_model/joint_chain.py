@@ -1,0 +1,154 @@
+"""An arm as a chain of joints from the part to the tool; it fills the port ``Transform``.
+
+A path gives five of six freedoms. The sixth, the turn of the tool about its own axis, is the
+*spin*: the side of the tool is part X, carried from part Z to the tool axis by the least turn and
+then turned by the spin about it. docs/how_it_works/arms.md has the equations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import pi
+
+import numpy as np
+
+from cnc_interp.core import DEG, BlockError, FloatArray, MachineError, SingularityError
+from cnc_interp.machine_model import chain_kernels as kernel
+from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.machine import Machine, arm_of
+
+SEEDS = 128  #: Joint positions from which Newton begins to find all configurations.
+SAME = 1e-6  #: Solutions that differ less are one [rad].
+CLOSE = 1e-4  #: How exactly the nearest singular pose is found [rad].
+SHARE = 0.35  #: Joints with at least this part of the largest rate turn against each other [-].
+NEARBY = np.linspace(0.0, 30.0, 121) * DEG  #: How far from a pose singular ones are looked for.
+
+
+@dataclass(frozen=True)
+class JointChain:
+    machine: Machine  #: The machine.
+    packed: FloatArray  #: (n + 2, 6): See ``chain_kernels.py``.
+
+    @staticmethod
+    def of(machine: Machine) -> JointChain:
+        arm = arm_of(machine)
+        n = len(arm.lines)
+        packed = np.zeros((n + 2, 6))
+        packed[:n], packed[n] = arm.lines, arm.tool[:2].ravel()
+        packed[n + 1, :3] = arm.tool[2]
+        points = np.vstack([arm.lines[:, 3:], arm.tool[0]])
+        packed[n + 1, kernel.REACH] = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        packed[n + 1, kernel.SPIN] = arm.spin
+        return JointChain(machine, packed)
+
+    @property
+    def five_axis(self) -> FiveAxis:
+        raise MachineError(f'{self.machine.name} is an arm; this needs a machine with X Y Z')
+
+    @property
+    def spin(self) -> float:
+        return float(self.packed[-1, kernel.SPIN])
+
+    def spun(self, spin: float) -> JointChain:
+        packed = self.packed.copy()
+        packed[-1, kernel.SPIN] = spin
+        return replace(self, packed=packed)
+
+    def starting(self, home: FloatArray) -> JointChain:
+        """Return the chain that begins in the configuration nearest to ``home`` (n,) [rad]."""
+        arm = replace(arm_of(self.machine), home=home)
+        return replace(self, machine=replace(self.machine, arm=arm))
+
+    def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return kernel.forward(self.packed, np.ascontiguousarray(q, dtype=float))
+
+    def rates(
+        self, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
+    ) -> FloatArray:
+        rows = [np.ascontiguousarray(rows) for rows in (tip, axis, step, turn)]
+        return np.asarray(kernel.rates(self.packed, arm_of(self.machine).home, *rows))
+
+    def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
+        """Return what X Y Z of programs count: the tool tip in W."""
+        return np.asarray(tip)
+
+    def tool_axis(self, rotary: FloatArray) -> FloatArray:
+        return self.five_axis.tool_axis(rotary)
+
+    def branches(self, tip: FloatArray, axis: FloatArray) -> FloatArray:
+        """Return the joints of each configuration that reaches a pose, the nearest to home first.
+
+        Whole turns are those nearest to home within the travel. What is singular is left out.
+        """
+        home = arm_of(self.machine).home
+        low, high = self.machine.travel.T
+        spread = np.random.default_rng(1).uniform(-pi, pi, (SEEDS, len(home)))
+        found, measure = kernel.solutions(self.packed, tip, axis, np.vstack([home, spread]))
+        found = found[measure > self.least]
+        found += 2.0 * pi * np.round((home - found) / (2.0 * pi))
+        found -= 2.0 * pi * np.ceil((found - high) / (2.0 * pi)).clip(0.0)
+        found += 2.0 * pi * np.ceil((low - found) / (2.0 * pi)).clip(0.0)
+        found = found[((found >= low) & (found <= high)).all(axis=1)]
+        found = found[np.argsort(np.abs(found - home).max(axis=1), kind='stable')]
+        kept = list[FloatArray]()
+        for q in found:
+            if all(np.abs(q - other).max() > SAME for other in kept):
+                kept.append(q)
+        return np.array(kept).reshape(-1, len(home))
+
+    @property
+    def least(self) -> float:
+        """Least measure that a path may have."""
+        return float(np.sin(self.machine.singular_cone)) ** 2
+
+    def sense(self, q: FloatArray) -> float:
+        """Return the sign that the determinant of the rates keeps on a path."""
+        return float(np.sign(np.linalg.det(self.pose_rates(q))))
+
+    def pose_rates(self, q: FloatArray) -> FloatArray:
+        return kernel.rates_of_pose(self.packed, q, kernel.place(self.packed, q)[0])
+
+    def start(self, tip: FloatArray, axis: FloatArray, line: int) -> tuple[FloatArray, float]:
+        """Return joints (n,) [rad] of a start pose and the sign that ``sense`` has there."""
+        found = self.branches(tip, axis)
+        if not len(found):
+            raise BlockError(
+                f'no configuration of {self.machine.name} reaches the first pose within the '
+                f'travel of its joints at spin {self.spin / DEG:g} deg; move the part, or turn '
+                'the tool (spin_deg, --spin auto)',
+                line,
+            )
+        return found[0], self.sense(found[0])
+
+    def refusal(self, q: FloatArray, line: int, singular: bool) -> BlockError:
+        """Say which joint leads to a singular pose near q, and which turn against each other."""
+        if not singular:
+            return BlockError(
+                f'beyond the reach of {self.machine.name} at spin {self.spin / DEG:g} deg; move '
+                'the part, tilt the tool, or turn it (--spin auto)',
+                line,
+            )
+        rates, sense = self.pose_rates(q), self.sense(q)
+        nearest, joint, there = np.inf, 0, 0.0
+        for k, sign in np.ndindex(len(q), 2):
+            along = (1.0 - 2.0 * sign) * np.eye(len(q))[k]
+            passed = np.array([self.sense(q + way * along) != sense for way in NEARBY])
+            if not passed.any() or NEARBY[passed.argmax()] >= nearest + NEARBY[1]:
+                continue
+            low, high = NEARBY[passed.argmax() - 1 : passed.argmax() + 1]
+            while high - low > CLOSE:
+                middle = 0.5 * (low + high)
+                beyond = self.sense(q + middle * along) != sense
+                low, high = (low, middle) if beyond else (middle, high)
+            if high < nearest:
+                nearest, joint, there = high, k, float(q[k] + high * along[k])
+        turn = np.abs(np.linalg.svd(rates)[2][-1])
+        against = [self.machine.axis_names[k] for k in np.flatnonzero(turn > SHARE * turn.max())]
+        name = self.machine.axis_names[joint]
+        gap = f'within {nearest / DEG:.2g} deg of {there / DEG:z.1f}'
+        return SingularityError(
+            f'{name} comes {gap}, where {" and ".join(against)} turn against each other; tilt the '
+            'tool from the flange, turn it (--spin auto), or move the part',
+            line,
+            name,
+        )

@@ -1,0 +1,256 @@
+"""An arm from a URDF: its kinematics, a plan that is proven, and what is refused."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+
+from cnc_interp.commands.cli import main
+from cnc_interp.core import BlockError, MachineError, ProgramError, SingularityError
+from cnc_interp.machine_model import chain_kernels
+from cnc_interp.machine_model.joint_chain import JointChain
+from cnc_interp.machine_model.machine import Machine, arms_directory
+from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.program import open_program
+from cnc_interp.proof.own_chain import OwnChain
+from cnc_interp.run.planning_chain import plan_to_files
+from cnc_interp.settings.options import Settings
+
+ARMS = ('ur10e', 'm710ic_50')
+PART = """UNITS/MM
+FEDRAT/1500,MMPM
+GOTO/-60,-40,20,0,0,1
+GOTO/-60,-40,0,0,0,1
+GOTO/60,-40,0,0.1,0,0.994987437
+GOTO/60,40,0,0,0.1,0.994987437
+GOTO/-60,40,5,0,0,1
+FINI
+"""
+
+
+def arm(name):
+    found = Transform.of(Machine.load(name))
+    assert isinstance(found, JointChain)
+    return found
+
+
+def poses(chain, count, seed):
+    """Return joints, tips and axes of poses that are far from singular and do not point down."""
+    random, found = np.random.default_rng(seed), []
+    while len(found) < count:
+        q = random.uniform(-2.5, 2.5, len(chain.machine.axis_names))
+        regular = abs(np.linalg.det(chain.pose_rates(q))) > 0.03
+        if regular and chain.forward(q[None])[1][0, 2] > -0.8:
+            found.append(q)
+    return np.array(found), *chain.forward(np.array(found))
+
+
+def spin_of(chain, q, axis):
+    """Return the spin of joints: how far their side is turned from part X, as arms.md has it."""
+    side = np.array(chain_kernels.place(chain.packed, q)[1])
+    x = np.array([1.0, 0.0, 0.0])
+    x = x - axis[0] / (1.0 + axis[2]) * (axis + [0.0, 0.0, 1.0])
+    return float(np.arctan2(np.cross(x, side) @ axis, x @ side))
+
+
+def tuples(jets):
+    return tuple(tuple(float(c) for c in jets[:, i]) for i in range(3))
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_the_proof_comes_to_the_same_poses_from_the_files(name):
+    chain, random = arm(name), np.random.default_rng(2)
+    q = random.uniform(-3.0, 3.0, (500, 6))
+    tip, axis = chain.forward(q)
+    own_tip, own_axis = OwnChain.of(chain.machine).forward(q)
+    assert np.abs(tip - own_tip).max() < 1e-12
+    assert np.abs(axis - own_axis).max() < 1e-12
+
+
+def matrix(pinocchio, given):
+    xyz, rpy = np.array(given['xyz_mm']) * 1e-3, np.radians(given['rpy_deg'])
+    return pinocchio.SE3(pinocchio.rpy.rpyToMatrix(*rpy), xyz).homogeneous
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_pinocchio_comes_to_the_same_poses(name):
+    pinocchio = pytest.importorskip('pinocchio', exc_type=ImportError)
+    chain, random = arm(name), np.random.default_rng(3)
+    model = pinocchio.buildModelFromUrdf(str(arms_directory() / f'{name}.urdf'))
+    content = yaml.safe_load((arms_directory() / f'{name}.yaml').read_text())
+    tool, part = (matrix(pinocchio, content[key]) for key in ('tcp', 'part'))
+    data, frame = model.createData(), model.getFrameId('flange')
+    for q in random.uniform(-3.0, 3.0, (200, 6)):
+        pinocchio.framesForwardKinematics(model, data, q)
+        pose = np.linalg.inv(part) @ data.oMf[frame].homogeneous @ tool
+        tip, axis = (rows[0] for rows in chain.forward(q[None]))
+        assert np.abs(tip - pose[:3, 3]).max() < 1e-9
+        assert np.abs(axis + pose[:3, 2]).max() < 1e-9
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_all_configurations_reach_the_pose(name):
+    chain = arm(name)
+    for q, tip, axis in zip(*poses(chain, 40, 4), strict=True):
+        spun = chain.spun(spin_of(chain, q, axis))
+        # Of the travel only the whole turns count here.
+        free = np.tile([-2.0 * np.pi, 2.0 * np.pi], (6, 1))
+        found = JointChain(spun.machine.having(travel=free), spun.packed).branches(tip, axis)
+        tips, axes = chain.forward(found)
+        assert np.abs(tips - tip).max() < 1e-11
+        assert np.abs(axes - axis).max() < 1e-11
+        gaps = np.abs(np.sin(0.5 * (found - q))).max(axis=1)
+        assert gaps.min() < 1e-9
+        assert len(found) >= 2
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_jets_are_the_derivatives_of_the_joints(name):
+    chain, random = arm(name), np.random.default_rng(6)
+    u = np.linspace(-4.0, 4.0, 9)
+    h = 2e-3
+    for q, tip, axis in zip(*poses(chain, 30, 5), strict=True):
+        packed = chain.spun(spin_of(chain, q, axis)).packed
+        p = np.vstack([tip, random.normal(size=(3, 3)) * 0.2])
+        turn = random.normal(size=3)
+        o, last = [axis], axis
+        for k in range(1, 4):
+            last = np.cross(turn, last) / k
+            o.append(last)
+        o = np.array(o)
+        jets, measure = chain_kernels.joint_jets(packed, tuples(p), tuples(o), q, 0.0)
+        assert measure > 0.0
+        courses = []
+        for x in u * h:
+            angle, about = np.linalg.norm(turn) * x, turn / np.linalg.norm(turn)
+            there = axis * np.cos(angle) + np.cross(about, axis) * np.sin(angle)
+            there += about * (about @ axis) * (1.0 - np.cos(angle))
+            still = np.zeros((4, 3)), np.zeros((4, 3))
+            still[0][0], still[1][0] = x ** np.arange(4) @ p, there
+            given = tuples(still[0]), tuples(still[1])
+            courses.append(chain_kernels.joint_jets(packed, *given, q, 0.0)[0][0])
+        fit = np.polynomial.polynomial.polyfit(u, np.array(courses), 8)
+        for k, allowed in enumerate((1e-11, 1e-8, 1e-6, 1e-4)):
+            size = max(np.abs(jets[k]).max(), 1.0)
+            assert np.abs(fit[k] / h**k - jets[k]).max() < allowed * size
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_a_program_is_planned_and_proven(name, tmp_path, capsys):
+    program = tmp_path / 'part.apt'
+    program.write_text(PART)
+    out = tmp_path / 'out'
+    assert main(['plan', str(program), '--machine', name, '--out', str(out)]) == 0
+    assert main(['check', str(out), '--program', str(program)]) == 0
+    assert capsys.readouterr().out.endswith('proven\n')
+    position = np.load(out / 'setpoints.npz')['position']
+    limits, period = Machine.load(name).limits.axes, 1e-3
+    for joint, axis in enumerate(limits):
+        bounds = axis.max_velocity, axis.max_acceleration, axis.max_jerk
+        for order, bound in enumerate(bounds, start=1):
+            largest = np.abs(np.diff(position[:, joint], order)).max() / period**order
+            assert largest <= 1.001 * bound
+    assert json.loads((out / 'summary.json').read_text())['cycle_time'] > 1.0
+
+
+def test_a_setpoint_beside_the_path_is_not_proven(tmp_path):
+    program = tmp_path / 'part.apt'
+    program.write_text(PART)
+    out = tmp_path / 'out'
+    assert main(['plan', str(program), '--machine', 'ur10e', '--out', str(out)]) == 0
+    columns = dict(np.load(out / 'setpoints.npz'))
+    columns['position'][:, 3] += 2e-3  # J4 by 0.1 deg all along
+    np.savez(out / 'setpoints.npz', **columns)
+    assert main(['check', str(out)]) == 1
+
+
+def planned(text, tmp_path, machine, name='part.apt'):
+    file = tmp_path / name
+    file.write_text(text)
+    settings = Settings(feedrate=0.02)
+    stream = open_program(file, Transform.of(machine), settings)
+    return plan_to_files(stream, machine, tmp_path / 'out', settings)
+
+
+def changed(tmp_path, name, **entries):
+    """Return the machine of a bundled arm with other entries; None removes one."""
+    for file in arms_directory().glob(f'{name}*'):
+        shutil.copy(file, tmp_path)
+    file = tmp_path / f'{name}.yaml'
+    kept = file.read_text().splitlines()
+    kept = [line for line in kept if line.split(':')[0] not in entries]
+    kept += [f'{key}: {value}' for key, value in entries.items() if value is not None]
+    file.write_text('\n'.join(kept))
+    return Machine.load(file)
+
+
+def test_a_line_through_the_wrist_is_refused_with_joint_and_remedy(tmp_path):
+    # Tool along the flange: a tool that leans forward brings J5 through zero.
+    tcp = '{xyz_mm: [80.0, 0.0, 120.0], rpy_deg: [0.0, 0.0, 0.0]}'
+    machine = changed(tmp_path, 'm710ic_50', tcp=tcp, spin_deg=180.0)
+    lines = [
+        f'GOTO/0,{y},0,{-np.sin(a):.9f},0,{np.cos(a):.9f}'
+        for y, a in zip((0, 5, 10, 15), np.radians([10, 30, 50, 70]), strict=True)
+    ]
+    with pytest.raises(SingularityError, match=r':4: J5 .* of 0\.0, where J4 and J6 turn against'):
+        planned('\n'.join(['FEDRAT/600', *lines, 'FINI']), tmp_path, machine)
+
+
+def test_what_is_out_of_reach_is_refused_by_line(tmp_path):
+    text = 'FEDRAT/600\nGOTO/0,0,0,0,0,1\nGOTO/900,0,0,0,0,1\nFINI\n'
+    with pytest.raises(BlockError, match=':3: ') as refused:
+        planned(text, tmp_path, Machine.load('ur10e'))
+    assert 'reach' in str(refused.value) or 'turn against' in str(refused.value)
+
+
+def test_a_first_pose_out_of_reach_is_refused(tmp_path):
+    text = 'FEDRAT/600\nGOTO/5000,0,0,0,0,1\nGOTO/5010,0,0,0,0,1\nFINI\n'
+    with pytest.raises(BlockError, match='no configuration of ur10e reaches the first pose'):
+        planned(text, tmp_path, Machine.load('ur10e'))
+
+
+@pytest.mark.parametrize('word', ['A10', 'B-5', 'C90'])
+def test_rotary_words_are_refused_by_name(word, tmp_path):
+    text = f'G21 G90 G94\nG0 X0 Y0 Z20\nG1 X30 {word} F1000\nM30\n'
+    with pytest.raises(ProgramError, match=f':3: {word}: the machine has no axis {word[0]}'):
+        planned(text, tmp_path, Machine.load('ur10e'), 'part.ngc')
+
+
+@pytest.mark.parametrize(
+    ('entries', 'why'),
+    [
+        ({'joint_limits': None}, 'joint_limits: missing'),
+        ({'joint_limits': 'none.yaml'}, 'joint_limits: cannot be read'),
+        ({'flange': 'hand'}, 'no joints of the URDF lead from base to hand'),
+        ({'tcp': 'base'}, 'no joints of the URDF lead from flange to base'),
+        ({'part': 'forearm'}, 'forearm is not fixed to base'),
+        ({'urdf': 'none.urdf'}, 'cannot be read as URDF'),
+        ({'urdf': 'ur10e.yaml'}, 'cannot be read as URDF'),
+        ({'base': 'upper_arm'}, '4 joints turn between upper_arm and flange'),
+        ({'home_deg': '[0, 0]'}, 'must be a list of 6 numbers'),
+        ({'speed': '3'}, 'arm.speed: unknown'),
+    ],
+)
+def test_a_wrong_entry_is_refused_by_its_key(entries, why, tmp_path):
+    with pytest.raises(MachineError, match=why):
+        changed(tmp_path, 'ur10e', **entries)
+
+
+def test_missing_limits_are_guessed_on_request_only(tmp_path):
+    limits = '{shoulder_pan: {has_velocity_limits: true, max_velocity: 1.5}}'
+    with pytest.raises(MachineError, match=r'joint_limits\.shoulder_pan: max_acceleration'):
+        changed(tmp_path, 'ur10e', joint_limits=limits)
+    machine = changed(tmp_path, 'ur10e', joint_limits=limits, limits='guess')
+    assert machine.limits.axes[0].max_velocity == 1.5
+    assert 'J1 acceleration, J1 jerk' in next(machine.doubts())
+
+
+def test_frames_can_be_links_of_the_urdf(tmp_path):
+    machine = changed(tmp_path, 'ur10e', flange='wrist_3', tcp='flange', part='base')
+    home = machine.arm.home[None]
+    tip, axis = Transform.of(machine).forward(home)
+    own_tip, own_axis = OwnChain.of(machine).forward(home)
+    assert np.abs(tip - own_tip).max() < 1e-12
+    assert np.abs(axis - own_axis).max() < 1e-12

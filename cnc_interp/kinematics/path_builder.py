@@ -51,14 +51,14 @@ class AxisPathBuilder:
         self.flank_height, self.period = flank_height, period
         self._begun, self._branch = False, 1.0
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
-        self._passages: PolePassages | None = None
+        self.passages: PolePassages | None = None
         if isinstance(transform, JointChain):
             self._axes = np.arange(len(self.machine.axis_names))
         else:
             extra = 5 + np.arange(len(self.machine.extra_names))
             self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
             if self.machine.has_rotary:
-                self._passages = PolePassages(transform.five_axis, flank_height)
+                self.passages = PolePassages(transform.five_axis, flank_height)
         self._stands = np.zeros(max(int(self._axes[-1]) + 1, 5))  # all axes [m, rad]
         self._s = 0.0
         self._stopped = True
@@ -72,7 +72,7 @@ class AxisPathBuilder:
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        return None if self._passages is None else self._passages.notice
+        return None if self.passages is None else self.passages.notice
 
     def _start(self, segments: PathSegments) -> None:
         """Choose branch and whole turns at the first pose, if its words do not name them."""
@@ -86,8 +86,8 @@ class AxisPathBuilder:
             five_axis, segments.axis[0], rotary, np.zeros(2), line
         )
         self._may_turn_at_once = not np.isfinite(rotary).all()
-        if self._passages is not None:
-            self._passages.begin(self._rotary, self._branch, self._may_turn_at_once)
+        if self.passages is not None:
+            self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
 
     def push(self, segments: PathSegments) -> AxisPath | None:
         """Take segments; return their axes, if any; BlockError with line, axis and value."""
@@ -101,8 +101,8 @@ class AxisPathBuilder:
         guides, turn_first = np.tile(axes.NO_GUIDE, (n, 1)), np.full(n, np.nan)
         if n and not self._begun:
             self._start(segments)
-        if self._passages is not None and n:
-            released = self._passages.take(segments, motion)
+        if self.passages is not None and n:
+            released = self.passages.take(segments, motion)
             segments, motion = released.segments, released.motion
             guides, turn_first = released.guides, released.turn_first
         self.done = segments

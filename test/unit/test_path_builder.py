@@ -29,7 +29,6 @@ def path_of(blocks, transform=AC, batch=1000, **options):
     pole = tuple(transform.pole) if transform.machine.has_rotary else None
     lookahead = LookAhead(Settings(**options), MachineTraits(pole=pole))
     builder = AxisPathBuilder(transform, 0.03, 1e-3)
-    builder.start(blocks.axis[0], blocks.rotary[0])
     parts = [lookahead.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
     pieces = [builder.push(part) for part in [*parts, lookahead.finish()]]
     return AxisPath.join([piece for piece in pieces if piece is not None])

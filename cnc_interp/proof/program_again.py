@@ -99,7 +99,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     lines = text.upper().splitlines()
     touches = not cut or _TOUCHES.search(lines[cut - 1] if cut <= len(lines) else '')
     unprobed = f'{plan.cut}; but line {cut} of the program has no word of a probe'
-    names = machine.axis_names
+    names = ('X', 'Y', 'Z', *machine.rotary_names, *machine.extra_names)
     given = (settings.get(f'{name}_tolerance') for name in ('contour', 'orientation'))
     tolerances = [float(t) if isinstance(t, int | float) else float('nan') for t in given]
     found, readers = [], []

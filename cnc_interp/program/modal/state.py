@@ -107,6 +107,7 @@ class ModalState(ModalValues):
         self.probed: dict[int, float] = {}  # variables of the last probe
         self.extra_letters = tuple(geometry.machine.extra_names)
         self.rotary_letters = geometry.machine.rotary_names
+        self.turns = not geometry.machine.is_linear.all()  # whether the tool can be turned
         self.dialect = PLAIN
         self.unit = INCH if settings.units == 'inch' else MM
         self.centre_absolute = settings.arc_centres == 'absolute'
@@ -286,7 +287,7 @@ class ModalState(ModalValues):
             return
         if word:
             self.check_length(word)
-            if self.rotary.any() or self.extra.any():
+            if self.rotary_letters and (self.rotary.any() or self.extra.any()):
                 stands = self.point + self.zero + self.extra @ self._along
                 q = np.concatenate([stands, self.rotary])[None]
                 self.point = self.geometry.forward(q)[0][0]
@@ -317,7 +318,7 @@ class ModalState(ModalValues):
 
     def rotary_of_vector(self) -> None:
         """Compute the rotary positions after direction words, nearest to the last rotary words."""
-        if self.vector is None:
+        if self.vector is None or not self.rotary_letters:
             return
         upright = np.abs(np.cross(self.vector, self.geometry.five_axis.pole)).max() < UPRIGHT
         free = self.rotary if upright else None
@@ -396,7 +397,7 @@ class ModalState(ModalValues):
     def axis_positions(self) -> FloatArray:
         """Return machine coordinates of X Y Z and the rotary axes, (5,) [m, rad]."""
         linear = self.point + self.zero
-        if self.tcp and (self.rotary.any() or self.extra.any()):
+        if self.rotary_letters and self.tcp and (self.rotary.any() or self.extra.any()):
             linear = self.geometry.linear(self.point[None], self.rotary[None])[0]
             linear = linear - self.extra @ self._along
         return np.concatenate([linear, self.rotary])

@@ -31,6 +31,12 @@ def add_plan_command(commands: Any) -> None:
     for axis in 'xyz':
         text = f'clamp the workpiece so far from its usual place, along {axis.upper()}'
         plan.option(f'--place-{axis}', text, float, 'MM', default=0.0)
+    plan.option(
+        '--limits',
+        'of an arm, also limits that its files do not have; every report names them',
+        choices=('known', 'guess'),
+        default='known',
+    )
     text = 'clamp it turned about Z on the table; C counts from the turned workpiece'
     plan.option('--turn', text, float, 'DEG', default=0.0)
     plan.workers_option('processes that plan a long program between its exact stops')
@@ -94,11 +100,13 @@ def _compile(machine: Machine) -> None:
 
 def machine_of(options: argparse.Namespace) -> Machine:
     """Return the machine; with the workpiece elsewhere, its file is among the plan files."""
-    from cnc_interp.machine_model.machine import Machine, placed_machine
+    from cnc_interp.machine_model.machine import Machine, placed_machine, with_guessed_limits
 
     shift = options.place_x, options.place_y, options.place_z
     if not all(math.isfinite(value) for value in (*shift, options.turn)):
         raise InterpError('--place-x, --place-y, --place-z, --turn: must be finite numbers')
+    if options.limits == 'guess':
+        return with_guessed_limits(options.machine, options.out / 'machine.yaml')
     if not any((*shift, options.turn)):
         return Machine.load(options.machine)
     return placed_machine(options.machine, shift, options.turn, options.out / 'machine.yaml')

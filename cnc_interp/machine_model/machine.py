@@ -336,6 +336,8 @@ def placed_machine(
     ``turn`` [deg]. Raises MachineError if no table of the machine turns about Z.
     """
     machine = Machine.load(name)
+    if machine.arm is not None:
+        raise MachineError(f'{machine.name} is an arm; move `part` in its machine file instead')
     x, y, _ = machine.rotary_direction[1]
     if turn and not (machine.has_rotary and not machine.rotary_on_head[1] and x == y == 0.0):
         raise MachineError(
@@ -350,6 +352,21 @@ def placed_machine(
         content['rotary']['workpiece_offset_mm'] = offset
     else:
         content['workpiece_zero_mm'] = offset
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, yaml.safe_dump(content, sort_keys=False))
+    return Machine.load(file)
+
+
+def with_guessed_limits(name: str, file: Path) -> Machine:
+    """Write the file of an arm whose missing limits are guessed; read it."""
+    found = find_machine_file(name)
+    content = deepcopy(read_yaml(found))
+    if not isinstance(content, dict) or 'urdf' not in content:
+        raise MachineError(f'{found}: --limits guess is for arms; write the limits into the file')
+    for key in ('urdf', 'joint_limits'):
+        if isinstance(content.get(key), str):
+            content[key] = str((found.parent / content[key]).resolve())
+    content['limits'] = 'guess'
     file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, yaml.safe_dump(content, sort_keys=False))
     return Machine.load(file)

@@ -288,6 +288,9 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
         Given('flank height', f'{plan.flank_height / MM:g} mm', of_summary),
         Given('period', f'{plan.period / MS:g} ms', of_summary),
     ]
+    if machine.arm is not None and machine.arm.guessed:
+        guessed = ', '.join(machine.arm.guessed)
+        rows.append(Given('guessed limits', guessed, '--limits guess, not from the maker'))
     if scene := plan.settings.get('scene'):
         found = Path(str(scene))
         content = found.read_bytes() if found.is_file() else b''

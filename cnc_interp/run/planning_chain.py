@@ -10,6 +10,7 @@ from cnc_interp.core.compile_time import working_time
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
+from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import ProgramStream
@@ -19,6 +20,7 @@ from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.spin_choice import with_spin
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -46,9 +48,10 @@ class Chain:
         start: StartFinder | None = None,
         processes: int = 1,
         setup: str = '',
+        transform: Transform | None = None,
     ):
         self._sink, self._watch, self._start = sink, Stopwatch(clock), start
-        self.path = PathChain(Transform.of(machine), settings, self._watch)
+        self.path = PathChain(transform or Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
         options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
         tool = wanted_tool(machine, settings)
@@ -126,17 +129,24 @@ def plan_to_files(
     same files. Returns the summary in SI units, or raises InterpError.
     """
     settings = settings or Settings()
-    start = None
+    start, transform, parts = None, Transform.of(machine), iter(stream)
     if stream.start.line:
-        start = StartFinder(Transform.of(machine), settings.flank_height, stream.start)
+        start = StartFinder(transform.five_axis, settings.flank_height, stream.start)
     with ExitStack() as stack:
         writer = stack.enter_context(PlanWriter(directory, machine, settings))
+        if settings.spin == 'auto' and isinstance(transform, JointChain):
+            with at_fault(stream.source):
+                program = Blocks.concatenate(list(parts))
+                transform, told = with_spin(transform, settings, program)
+            stream.note((int(program.line_number[0]), told))
+            parts = iter([program])
         more: dict[str, Any] = {'start': start, 'processes': processes, 'setup': stream.setup}
+        more['transform'] = transform
         chain = Chain(machine, settings, writer, **more)
         stack.callback(chain.close)
         with at_fault(stream.source), chain.refusals_in_order():
             rows_read, told = 0, 0.0
-            for part in stream:
+            for part in parts:
                 own = part if start is None else start.blocks(part)
                 writer.blocks(own)
                 if chain.clearance is not None:

@@ -192,6 +192,11 @@ class Settings:
         APPROACH,
         'feedrate of the plunge to a place inside the program',
     )
+    spin: str = kinds.one_of(
+        ('fixed', 'auto'),
+        kinds.Stage.OFFLINE,
+        'turn of the tool of an arm about its axis; auto: the constant one of the fastest motion',
+    )
     law: str = kinds.one_of(
         ('optimal', 'vpop'),
         kinds.Stage.OFFLINE,

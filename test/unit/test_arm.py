@@ -166,10 +166,10 @@ def test_a_setpoint_beside_the_path_is_not_proven(tmp_path):
     assert main(['check', str(out)]) == 1
 
 
-def planned(text, tmp_path, machine, name='part.apt'):
+def planned(text, tmp_path, machine, name='part.apt', **options):
     file = tmp_path / name
     file.write_text(text)
-    settings = Settings(feedrate=0.02)
+    settings = Settings(feedrate=0.02, **options)
     stream = open_program(file, Transform.of(machine), settings)
     return plan_to_files(stream, machine, tmp_path / 'out', settings)
 
@@ -245,6 +245,46 @@ def test_missing_limits_are_guessed_on_request_only(tmp_path):
     machine = changed(tmp_path, 'ur10e', joint_limits=limits, limits='guess')
     assert machine.limits.axes[0].max_velocity == 1.5
     assert 'J1 acceleration, J1 jerk' in next(machine.doubts())
+
+
+def test_a_plan_with_guessed_limits_says_so_whenever_it_is_proven(tmp_path, capsys):
+    for file in arms_directory().glob('ur10e*'):
+        shutil.copy(file, tmp_path)
+    (tmp_path / 'ur10e_limits.yaml').write_text('joint_limits: {}')
+    (tmp_path / 'part.apt').write_text(PART)
+    out = str(tmp_path / 'out')
+    given = ['plan', str(tmp_path / 'part.apt'), '--out', out, '--machine']
+    assert main([*given, str(tmp_path / 'ur10e.yaml')]) == 2
+    assert 'max_acceleration (has_acceleration_limits) is missing' in capsys.readouterr().err
+    assert main([*given, str(tmp_path / 'ur10e.yaml'), '--limits', 'guess']) == 0
+    assert 'limits of ur10e are guessed: J1 acceleration, J1 jerk' in capsys.readouterr().err
+    assert main(['check', out]) == 0
+    assert 'guessed limits J1 acceleration, J1 jerk' in capsys.readouterr().out
+
+
+def test_spin_auto_is_faster_than_the_one_of_the_machine_file(tmp_path, capsys):
+    (tmp_path / 'part.apt').write_text(PART.replace('1500', '6000'))
+    times = {}
+    for spin in ('fixed', 'auto'):
+        out = tmp_path / spin
+        given = ['plan', str(tmp_path / 'part.apt'), '--machine', 'ur10e', '--out', str(out)]
+        assert main([*given, '--spin', spin]) == 0
+        assert main(['check', str(out)]) == 0
+        times[spin] = json.loads((out / 'summary.json').read_text())['cycle_time']
+    assert times['auto'] < times['fixed']
+
+
+def test_spin_auto_goes_where_the_fixed_spin_cannot(tmp_path):
+    machine = changed(tmp_path, 'm710ic_50', spin_deg=180.0)
+    with pytest.raises(BlockError):
+        planned(PART, tmp_path, machine)
+    assert planned(PART, tmp_path, machine, spin='auto')['cycle_time'] > 1.0
+
+
+def test_a_part_that_no_spin_reaches_is_refused_by_line(tmp_path):
+    text = 'FEDRAT/600\nGOTO/0,0,0,0,0,1\nGOTO/300,0,0,0,0,1\nGOTO/900,0,0,0,0,1\nFINI\n'
+    with pytest.raises(BlockError, match=r':[34]: no constant spin of ur10e follows'):
+        planned(text, tmp_path, Machine.load('ur10e'), spin='auto')
 
 
 def test_frames_can_be_links_of_the_urdf(tmp_path):

@@ -79,9 +79,7 @@ def tool_length(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def switch_tcp(at: Execution, word: str, _: BlockWords) -> None:
-    at.demand(
-        at.mover.turns, 'tool-tip programming needs a machine with rotary axes', word
-    )
+    at.demand(at.mover.turns, 'tool-tip programming needs a machine with rotary axes', word)
     at.mover.demand_no_scale(word)
     at.mover.switch_tcp(word)
 

@@ -137,8 +137,8 @@ def plan_to_files(
         if settings.spin == 'auto' and isinstance(transform, JointChain):
             with at_fault(stream.source):
                 program = Blocks.concatenate(list(parts))
-                transform, told = with_spin(transform, settings, program)
-            stream.note((int(program.line_number[0]), told))
+                transform, why = with_spin(transform, settings, program)
+            stream.note((int(program.line_number[0]), why))
             parts = iter([program])
         more: dict[str, Any] = {'start': start, 'processes': processes, 'setup': stream.setup}
         more['transform'] = transform

@@ -114,6 +114,7 @@ OTHERS = Settings(
     retract=0.1 / 3.0,
     plunge_feed=0.01 / 3.0,
     law='vpop',
+    spin='auto',
 )
 
 
@@ -218,7 +219,7 @@ def test_wrong_words_are_refused_in_units_of_the_shop(capsys):
 
 
 def test_a_goal_carries_all_choices_and_its_fields_still_count():
-    asked = replace(OTHERS, law='optimal')  # the nodes have no other
+    asked = replace(OTHERS, law='optimal', spin='fixed')  # the nodes have no other
     assert settings_of_goal(goal_of(Path('p'), asked), replace(Settings(), **MOTION)) == asked
     goal = RunProgram.Goal(contour_tolerance=1e-4, interpolation='vector', feedrate=0.1)
     found = settings_of_goal(goal, Settings(corner_ratio=2.0))
@@ -320,7 +321,7 @@ def test_the_form_gives_the_settings_that_filled_it_in():
         settings_filled_in(OTHERS, form | {'flank_height': 'high'})
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
     compared = {'corner', 'parametrization', 'top', 'septic', 'law'}
-    of_nodes = {'interpolation_period', 'compensation', 'learnt', 'tool_error'}
+    of_nodes = {'interpolation_period', 'compensation', 'learnt', 'tool_error', 'spin'}
     of_nodes |= {'scene', 'collision'}
     assert hidden == compared | of_nodes | {'retract', 'plunge_feed', 'from_line', 'line_pass'}
 

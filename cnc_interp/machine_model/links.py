@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core import FloatArray
+from cnc_interp.core import FloatArray, MachineError
 from cnc_interp.machine_model.machine import Machine
 
 Vector = tuple[float, float, float]
@@ -39,6 +39,8 @@ def vector(values: FloatArray) -> Vector:
 
 def joints_of(machine: Machine) -> tuple[Joint, ...]:
     """Return the joints of a machine, parents before children."""
+    if machine.arm is not None:
+        raise MachineError(f'{machine.name} is an arm; its machine file names its own URDF')
     joints: list[Joint] = []
 
     def add(k: int, parent: str, child: str, origin: Vector, along: Vector) -> str:

@@ -294,3 +294,23 @@ def test_frames_can_be_links_of_the_urdf(tmp_path):
     own_tip, own_axis = OwnChain.of(machine).forward(home)
     assert np.abs(tip - own_tip).max() < 1e-12
     assert np.abs(axis - own_axis).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ('words', 'why'),
+    [
+        (['urdf', 'ur10e'], 'is an arm; its machine file names its own URDF'),
+        (['plan', 'PROGRAM', '--from-line', '4'], 'is an arm; this needs a machine with X Y Z'),
+        (['plan', 'PROGRAM', '--place-x', '5'], 'is an arm; move `part` in its machine file'),
+        (['convert', 'PROGRAM'], 'is an arm; this needs a machine with X Y Z'),
+    ],
+)
+def test_what_needs_axes_of_a_machine_is_refused_in_one_line(words, why, tmp_path, capsys):
+    program = tmp_path / 'part.apt'
+    program.write_text(PART)
+    given = [str(program) if word == 'PROGRAM' else word for word in words]
+    out = ['--out', str(tmp_path / 'made.ngc')]
+    machine = [] if 'urdf' in words else ['--machine', 'ur10e']
+    assert main([*given, *out, *machine]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert why in told[-1]

@@ -12,9 +12,8 @@ from math import pi
 import numpy as np
 
 from cnc_interp.core import FloatArray, jet
-from cnc_interp.core.jet import Vector, VectorJet
+from cnc_interp.core.jet import VectorJet
 from cnc_interp.core.kernels import njit
-from cnc_interp.machine_model.transform_kernels import turned
 
 #: Places in a row of the packed chain: direction and point of a joint. Two rows follow the joints:
 #: the tip and the side of the tool at q = 0; its axis, then reach [m], spin [rad].
@@ -28,50 +27,60 @@ LEAST_UPRIGHT = 1e-6
 
 
 @njit(cache=True, nogil=True)
-def row(packed: FloatArray, i: int, first: int) -> Vector:
-    return (packed[i, first], packed[i, first + 1], packed[i, first + 2])
+def posture(packed: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return tip [m], side and axis of the tool in W, (3, 3), at joint positions (n,) [rad].
 
-
-@njit(cache=True, nogil=True)
-def place(packed: FloatArray, q: FloatArray) -> tuple[Vector, Vector, Vector]:
-    """Return tip [m], side and axis of the tool in W at joint positions (n,) [rad]."""
-    n = len(q)
-    tip, side, axis = row(packed, n, TIP), row(packed, n, SIDE), row(packed, n + 1, AXIS)
-    for k in range(n):
-        i = n - 1 - k
-        u, a = row(packed, i, 0), row(packed, i, 3)
-        x, y, z = turned(u, q[i], tip[0] - a[0], tip[1] - a[1], tip[2] - a[2])
-        tip = (x + a[0], y + a[1], z + a[2])
-        side = turned(u, q[i], side[0], side[1], side[2])
-        axis = turned(u, q[i], axis[0], axis[1], axis[2])
-    return tip, side, axis
-
-
-@njit(cache=True, nogil=True)
-def cross(a: Vector, b: Vector) -> Vector:
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
-
-
-@njit(cache=True, nogil=True)
-def rates_of_pose(packed: FloatArray, q: FloatArray, tip: Vector) -> FloatArray:
-    """Return how tip, over the reach, and tool turn with each joint, (6, n) [1/rad, -]."""
+    With them, how the tip, over the reach, and the tool turn with each joint, (6, n) [1/rad, -].
+    """
     n, reach = len(q), packed[len(q) + 1, REACH]
-    found = np.empty((6, n))
-    for j in range(n):
-        u, a = row(packed, j, 0), row(packed, j, 3)
-        for k in range(j):
-            i = j - 1 - k
-            v, b = row(packed, i, 0), row(packed, i, 3)
-            u = turned(v, q[i], u[0], u[1], u[2])
-            x, y, z = turned(v, q[i], a[0] - b[0], a[1] - b[1], a[2] - b[2])
-            a = (x + b[0], y + b[1], z + b[2])
-        moved = cross(u, (tip[0] - a[0], tip[1] - a[1], tip[2] - a[2]))
+    turn, shift, step = np.eye(3), np.zeros(3), np.empty((3, 3))
+    tool, rates, points = np.empty((3, 3)), np.empty((6, n)), np.empty((n, 3))
+    for k in range(n):
+        u, a = packed[k, DIRECTION], packed[k, POINT]
+        s, c = np.sin(q[k]), np.cos(q[k])
         for i in range(3):
-            found[i, j], found[3 + i, j] = moved[i] / reach, u[i]
+            along = points_at = 0.0
+            for j in range(3):
+                along += turn[i, j] * u[j]
+                points_at += turn[i, j] * a[j]
+            rates[3 + i, k], points[k, i] = along, points_at + shift[i]
+        for i in range(3):
+            for j in range(3):
+                step[i, j] = (1.0 - c) * u[i] * u[j] + skew(u, i, j) * s
+            step[i, i] += c
+        turn = turned_by(turn, step)
+        for i in range(3):
+            shift[i] = points[k, i] - turn[i, 0] * a[0] - turn[i, 1] * a[1] - turn[i, 2] * a[2]
+    for i in range(3):
+        tool[0, i], tool[1, i], tool[2, i] = shift[i], 0.0, 0.0
+        for j in range(3):
+            tool[0, i] += turn[i, j] * packed[n, TIP + j]
+            tool[1, i] += turn[i, j] * packed[n, SIDE + j]
+            tool[2, i] += turn[i, j] * packed[n + 1, AXIS + j]
+    for k in range(n):
+        for i in range(3):
+            j, m = (i + 1) % 3, (i + 2) % 3
+            rates[i, k] = rates[3 + j, k] * (tool[0, m] - points[k, m])
+            rates[i, k] -= rates[3 + m, k] * (tool[0, j] - points[k, j])
+            rates[i, k] /= reach
+    return tool, rates
+
+
+@njit(cache=True, nogil=True)
+def turned_by(a: FloatArray, b: FloatArray) -> FloatArray:
+    found = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            found[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def skew(u: FloatArray, i: int, j: int) -> float:
+    """Return one number of the matrix of u x."""
+    if i == j:
+        return 0.0
+    found: float = u[3 - i - j] if (j - i) % 3 == 2 else -u[3 - i - j]
     return found
 
 
@@ -152,8 +161,11 @@ def side_jets(o: VectorJet, spin: float) -> VectorJet:
 
 
 @njit(cache=True, nogil=True)
-def tool_jets(packed: FloatArray, q: FloatArray) -> FloatArray:
-    """Return the jets of tip [m], side and axis of the tool, (3, 3, 4), for jets (4, n) of q."""
+def tool_jets(packed: FloatArray, q: FloatArray, last: int) -> FloatArray:
+    """Return the jets of tip [m], side and axis of the tool, (3, 3, 4), for jets (4, n) of q.
+
+    ``last``: the highest coefficient that is known.
+    """
     n = q.shape[1]
     tool, turn, before = np.zeros((3, 3, 4)), np.empty((3, 3, 4)), np.empty((3, 4))
     for i in range(3):
@@ -165,11 +177,9 @@ def tool_jets(packed: FloatArray, q: FloatArray) -> FloatArray:
         s, c = jet.sine_cosine((q[0, k], q[1, k], q[2, k], q[3, k]))
         for i in range(3):
             for j in range(3):
-                along, across, same = joint[i] * joint[j], 0.0, 1.0
-                if i != j:  # of u x: row i, column j
-                    same = 0.0
-                    across = joint[3 - i - j] if (j - i) % 3 == 2 else -joint[3 - i - j]
-                for m in range(4):
+                along, across = joint[i] * joint[j], skew(joint, i, j)
+                same = 1.0 if i == j else 0.0
+                for m in range(last + 1):
                     turn[i, j, m] = c[m] * (same - along) + s[m] * across
                 turn[i, j, 0] += along
         for v in range(3):
@@ -177,7 +187,7 @@ def tool_jets(packed: FloatArray, q: FloatArray) -> FloatArray:
             if v == 0:
                 before[:, 0] -= joint[POINT]
             for i in range(3):
-                for m in range(4):
+                for m in range(last + 1):
                     total = 0.0
                     for j in range(3):
                         for order in range(m + 1):
@@ -233,12 +243,11 @@ def joint_jets(
     if o[2][0] < LEAST_UPRIGHT - 1.0:
         return q, UNSOLVED
     wanted, reach = wanted_jets(p, o, packed[n + 1, SPIN]), packed[n + 1, REACH]
-    size, last = np.inf, False
+    size, last, tool = np.inf, False, np.zeros((3, 3, 4))
     for _ in range(STEPS):
-        tool = tool_jets(packed, q)
+        tool[:, :, 0], rates = posture(packed, q[0])
         gap = misfit(tool, wanted, reach, 0)
         size, before = np.sqrt((gap * gap).sum()), size
-        rates = rates_of_pose(packed, q[0], (tool[0, 0, 0], tool[0, 1, 0], tool[0, 2, 0]))
         least, sign = factorised(rates, order)
         if least == 0.0:
             return q, REVERSED
@@ -254,7 +263,9 @@ def joint_jets(
     if alike < 1.0 or (not last and size > 0.0):
         return q, UNSOLVED
     for k in range(1, 4):
-        gap = misfit(tool_jets(packed, q), wanted, reach, k)
+        if k > 1:
+            tool = tool_jets(packed, q, k)
+        gap = misfit(tool, wanted, reach, k)
         solved(rates, order, gap)
         q[k] = gap
     return q, REVERSED if sense * sign < 0.0 else least * least
@@ -265,9 +276,8 @@ def forward(packed: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return tool tips [m] and axes [-], shape (m, 3), of joint positions (m, n)."""
     tip, axis = np.empty((len(q), 3)), np.empty((len(q), 3))
     for i in range(len(q)):
-        p, _, o = place(packed, q[i])
-        for k in range(3):
-            tip[i, k], axis[i, k] = p[k], o[k]
+        tool = posture(packed, q[i])[0]
+        tip[i], axis[i] = tool[0], tool[2]
     return tip, axis
 
 
@@ -319,8 +329,7 @@ def followed(
         if measure <= 0.0:
             return q[:i], least
         if sense == 0.0:
-            rates = rates_of_pose(packed, found[0], place(packed, found[0])[0])
-            sense = factorised(rates, order)[1]
+            sense = factorised(posture(packed, found[0])[1], order)[1]
         near = found[0]
         q[i] = near
     return q, least

@@ -106,7 +106,7 @@ class JointChain:
         return float(np.sign(np.linalg.det(self.pose_rates(q))))
 
     def pose_rates(self, q: FloatArray) -> FloatArray:
-        return kernel.rates_of_pose(self.packed, q, kernel.place(self.packed, q)[0])
+        return kernel.posture(self.packed, q)[1]
 
     def start(self, tip: FloatArray, axis: FloatArray, line: int) -> tuple[FloatArray, float]:
         """Return joints (n,) [rad] of a start pose and the sign that ``sense`` has there."""

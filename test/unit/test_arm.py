@@ -49,7 +49,7 @@ def poses(chain, count, seed):
 
 def spin_of(chain, q, axis):
     """Return the spin of joints: how far their side is turned from part X, as arms.md has it."""
-    side = np.array(chain_kernels.place(chain.packed, q)[1])
+    side = np.array(chain_kernels.posture(chain.packed, q)[0][1])
     x = np.array([1.0, 0.0, 0.0])
     x = x - axis[0] / (1.0 + axis[2]) * (axis + [0.0, 0.0, 1.0])
     return float(np.arctan2(np.cross(x, side) @ axis, x @ side))
@@ -176,8 +176,7 @@ def planned(text, tmp_path, machine, name='part.apt', **options):
 
 def changed(tmp_path, name, **entries):
     """Return the machine of a bundled arm with other entries; None removes one."""
-    for file in arms_directory().glob(f'{name}*'):
-        shutil.copy(file, tmp_path)
+    shutil.copytree(arms_directory(), tmp_path, dirs_exist_ok=True)
     file = tmp_path / f'{name}.yaml'
     kept = file.read_text().splitlines()
     kept = [line for line in kept if line.split(':')[0] not in entries]
@@ -248,9 +247,8 @@ def test_missing_limits_are_guessed_on_request_only(tmp_path):
 
 
 def test_a_plan_with_guessed_limits_says_so_whenever_it_is_proven(tmp_path, capsys):
-    for file in arms_directory().glob('ur10e*'):
-        shutil.copy(file, tmp_path)
-    (tmp_path / 'ur10e_limits.yaml').write_text('joint_limits: {}')
+    shutil.copytree(arms_directory(), tmp_path, dirs_exist_ok=True)
+    (tmp_path / 'limits/ur10e.yaml').write_text('joint_limits: {}')
     (tmp_path / 'part.apt').write_text(PART)
     out = str(tmp_path / 'out')
     given = ['plan', str(tmp_path / 'part.apt'), '--out', out, '--machine']
@@ -302,7 +300,7 @@ def test_frames_can_be_links_of_the_urdf(tmp_path):
         (['urdf', 'ur10e'], 'is an arm; its machine file names its own URDF'),
         (['plan', 'PROGRAM', '--from-line', '4'], 'is an arm; this needs a machine with X Y Z'),
         (['plan', 'PROGRAM', '--place-x', '5'], 'is an arm; move `part` in its machine file'),
-        (['convert', 'PROGRAM'], 'is an arm; this needs a machine with X Y Z'),
+        (['convert', 'PROGRAM', '--to', 'gcode'], 'is an arm; this needs a machine with X Y Z'),
     ],
 )
 def test_what_needs_axes_of_a_machine_is_refused_in_one_line(words, why, tmp_path, capsys):

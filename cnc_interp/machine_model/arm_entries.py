@@ -163,6 +163,10 @@ def _limits(
 ) -> tuple[tuple[AxisLimits, ...], tuple[str, ...]]:
     """Return the limits of the joints: MoveIt's ``joint_limits``, else those of the URDF."""
     given, guess = content.get('joint_limits'), content.get('limits') == 'guess'
+    if content.get('limits', 'guess') != 'guess':
+        raise MachineError(
+            "may only be 'guess'; joint_limits holds the limits of an arm", 'limits'
+        )
     if isinstance(given, str):
         try:
             given = read_yaml(folder / given)

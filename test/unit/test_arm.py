@@ -230,6 +230,7 @@ def test_rotary_words_are_refused_by_name(word, tmp_path):
         ({'base': 'upper_arm'}, '4 joints turn between upper_arm and flange'),
         ({'home_deg': '[0, 0]'}, 'must be a list of 6 numbers'),
         ({'speed': '3'}, 'arm.speed: unknown'),
+        ({'limits': '{J1: 3}'}, "limits: may only be 'guess'"),
     ],
 )
 def test_a_wrong_entry_is_refused_by_its_key(entries, why, tmp_path):

@@ -313,3 +313,18 @@ def test_what_needs_axes_of_a_machine_is_refused_in_one_line(words, why, tmp_pat
     assert main([*given, *out, *machine]) == 2
     told = capsys.readouterr().err.strip().splitlines()
     assert why in told[-1]
+
+
+def test_g_code_turns_the_tool_by_directions(tmp_path, capsys):
+    text = (
+        'G21 G90 G94\nG0 X0 Y0 Z20\nG43.5\nG1 X30 Z0 I0.1 J0 K1 F1000\n'
+        'Y50 I0 J0.1 K1\nG49\nG1 X0 Y0 Z5\nM30\n'
+    )
+    machine = Machine.load('ur10e')
+    planned(text, tmp_path, machine, 'part.ngc')
+    assert main(['check', str(tmp_path / 'out'), '--machine', 'ur10e']) == 0
+    last = np.load(tmp_path / 'out/setpoints.npz')['position'][-1:]
+    tip, axis = OwnChain.of(machine).forward(last)
+    assert np.abs(tip - [0.0, 0.0, 5e-3]).max() < 1e-9
+    # Where tool-tip programming is off, the tool keeps its direction.
+    assert np.abs(axis - np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)).max() < 1e-8

@@ -308,13 +308,13 @@ class _Comparison:
         if gone > self.room(move) or turned > _angle(move) or move.sweep:
             self.fault(move, 'has no row in the plan')
 
-    def points(self, move: ReadMove) -> FloatArray:
+    def points(self, move: ReadMove, rows: IntArray | slice) -> FloatArray:
         if move.tcp or not self.machine.has_rotary:
-            return np.asarray(self.blocks['tip'] - move.length * self.blocks['axis'])
+            return np.asarray(self.blocks['tip'][rows] - move.length * self.blocks['axis'][rows])
         if self.linear is None:
             rotary = np.nan_to_num(self.blocks['rotary'])
             self.linear = self.transform.linear(self.blocks['tip'], rotary) - self.zero[0, :3]
-        return self.linear
+        return np.asarray(self.linear[rows])
 
     def way(self, move: ReadMove, before: ReadMove, rows: IntArray) -> None:
         tolerance = float(self.blocks['contour_tolerance'][rows].min())
@@ -353,7 +353,7 @@ class _Comparison:
     def chord_error(self, move: ReadMove, rows: IntArray) -> float:
         if len(move.extra) and not move.tcp:
             return 0.0
-        arms = _arms(move, self.points(move)[rows[0] - 1 : rows[-1] + 1])
+        arms = _arms(move, self.points(move, slice(rows[0] - 1, rows[-1] + 1)))
         turn = np.diff(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
         radius = np.linalg.norm(arms, axis=1)
         return float(np.max(np.maximum(radius[1:], radius[:-1]) * (1.0 - np.cos(0.5 * turn))))
@@ -361,7 +361,7 @@ class _Comparison:
     def arc(self, move: ReadMove, rows: IntArray, room: float) -> None:
         if len(move.extra) and not move.tcp:
             return
-        points = self.points(move)[rows[0] - 1 : rows[-1] + 1]
+        points = self.points(move, slice(rows[0] - 1, rows[-1] + 1))
         arms = _arms(move, points)
         radius = np.linalg.norm(arms, axis=1)
         # The radius changes evenly from start to end where both differ.
@@ -438,11 +438,11 @@ class _Comparison:
         if move.tcp:
             start, end = (self.end_of(one, move.length) for one in (before, move))
         else:
-            start, end = self.points(move)[first] - extra[first] @ direction, move.end
+            start, end = self.points(move, rows[:1] - 1)[0] - extra[first] @ direction, move.end
         way = float(np.linalg.norm(end - start))
         if way <= DIGITS * move.digit:  # printed so, the rows tell whether X Y Z move
-            points = self.points(move)
-            way = float(np.linalg.norm(points[last] - points[first]))
+            ends = self.points(move, np.array([first, last]))
+            way = float(np.linalg.norm(ends[1] - ends[0]))
         if move.sweep:
             way = self.arc_length(move, start, end)
         elif not move.tcp and np.abs(move.rotary - before.rotary).max(initial=0.0) <= SAME_PLACE:
@@ -528,12 +528,12 @@ class _FollowPlaces(_Comparison):
     def near(self, move: ReadMove, first: int, some: int) -> BoolArray:
         rows = slice(first, first + some)
         turned = np.abs(self.blocks['rotary'][rows, : len(move.rotary)] - move.rotary)
-        away = np.linalg.norm(self.points(move)[rows] - move.end, axis=1)
+        away = np.linalg.norm(self.points(move, rows) - move.end, axis=1)
         turning = turned.max(axis=1, initial=0.0) > _angle(move)
         return np.asarray((away <= _place(move)) & ~turning)
 
     def swept(self, move: ReadMove, first: int, some: int) -> BoolArray:
-        points = self.points(move)[first - 1 : first + some]
+        points = self.points(move, slice(first - 1, first + some))
         arms = _arms(move, points)
         turned = np.unwrap(np.arctan2(arms[:, 1], arms[:, 0]))
         turned = move.sweep * (turned[1:] - turned[0])

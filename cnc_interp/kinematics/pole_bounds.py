@@ -31,7 +31,7 @@ import numpy as np
 from cnc_interp.core import FloatArray, IntArray, bspline, norm
 from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics import segment_axes as axes
-from cnc_interp.machine_model.transform_kernels import guided_gap, outer_and_inner
+from cnc_interp.machine_model.five_axis_kernels import guided_gap, outer_and_inner
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 

@@ -13,7 +13,7 @@ from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics.axis_path import septic_jet
 from cnc_interp.machine_model import chain_kernels
-from cnc_interp.machine_model import transform_kernels as kernel
+from cnc_interp.machine_model import five_axis_kernels as kernel
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
 

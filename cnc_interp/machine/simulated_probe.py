@@ -28,9 +28,9 @@ from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.machine.simulated_drives import SimulatedDrives
+from cnc_interp.machine_model.five_axis_kernels import SIZE, forward
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import SINCE as STAMPED
-from cnc_interp.machine_model.transform_kernels import SIZE, forward
 from cnc_interp.machine_model.transform_port import Transform
 
 PLANE, BALL, BORE, BOSS, BOX = range(5)

@@ -23,8 +23,7 @@ from math import pi
 import numpy as np
 
 from cnc_interp.core import FloatArray, jet, norm
-from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_kernels import (
+from cnc_interp.machine_model.five_axis_kernels import (
     HEAD_ZERO,
     INNER_SIGN,
     ON_HEAD,
@@ -39,6 +38,7 @@ from cnc_interp.machine_model.transform_kernels import (
     rates,
     rotary_jets,
 )
+from cnc_interp.machine_model.machine import Machine
 
 ON_POLE = 1e-9  #: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
 

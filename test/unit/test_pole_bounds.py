@@ -27,8 +27,8 @@ from cnc_interp.kinematics.segment_axes import (
     pose_jets,
     shapes_of,
 )
+from cnc_interp.machine_model.five_axis_kernels import guided_gap
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_kernels import guided_gap
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.smoothing.segments import CORNER, LINE, SPLINE, PathSegments
 

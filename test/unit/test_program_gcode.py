@@ -21,13 +21,16 @@ AC = Transform.of(Machine.load('xyzac'))
 class ThreeAxes:
     """A machine without rotary axes."""
 
-    axis_names = ('X', 'Y', 'Z')
+    axis_names, rotary_names = ('X', 'Y', 'Z'), ()
     extra_names, extra_direction, control, signals = (), (), {}, Signals()
+    is_linear = np.ones(3, dtype=bool)
 
     @property
     def machine(self):
         """The same: what of a machine is read with its transformation."""
         return self
+
+    five_axis = machine
 
     def tool_axis(self, rotary):
         raise AssertionError('a machine without rotary axes is never asked')

@@ -17,14 +17,17 @@ H = 0.03
 class TableAC:
     """A table-tilting AC machine, both rotary axes through the workpiece zero."""
 
-    axis_names = ('X', 'Y', 'Z', 'A', 'C')
+    axis_names, rotary_names = ('X', 'Y', 'Z', 'A', 'C'), ('A', 'C')
     extra_names, extra_direction, control, signals = (), (), {}, Signals()
+    is_linear = np.array([True, True, True, False, False])
     singular_cone = np.radians(0.02)
 
     @property
     def machine(self):
         """The same: what of a machine is read with its transformation."""
         return self
+
+    five_axis = machine
 
     def nearest_to_pole(self, start, end):
         share = np.linspace(0.0, 1.0, 2001)[:, None]
@@ -55,7 +58,7 @@ class TableAC:
 class HeadBC(TableAC):
     """Other letters, another axis order in the vector."""
 
-    axis_names = ('X', 'Y', 'Z', 'B', 'C')
+    axis_names, rotary_names = ('X', 'Y', 'Z', 'B', 'C'), ('B', 'C')
 
     def tool_axis(self, rotary):
         b, c = rotary[:, 0], rotary[:, 1]

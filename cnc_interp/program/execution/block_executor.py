@@ -15,7 +15,7 @@ from cnc_interp.program.execution.machine_words import (
 from cnc_interp.program.execution.motion_words import move, siemens_cycles
 from cnc_interp.program.execution.setting_words import path_tolerance, refuse_lathe
 from cnc_interp.program.execution.setup_words import tool_length
-from cnc_interp.program.execution.word_table import (
+from cnc_interp.program.execution.word_handlers import (
     KEYS,
     NOT_BESIDE_CONTOUR,
     OTHER_G,

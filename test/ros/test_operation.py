@@ -90,7 +90,7 @@ def test_override_up_and_down_and_zero(bench):
     # A busy computer may have sent too little before the override came; it goes on by itself.
     assert bench.state.state in (MachineState.RUNNING, MachineState.STARVED)
     bench.override.publish(Float64(data=9.0))
-    bench.spin_until(lambda: any('9 refused' in text for _, text in bench.diagnostics))
+    bench.spin_until(lambda: any('feed_override is 9' in text for _, text in bench.diagnostics))
     bench.override.publish(Float64(data=1.0))
     bench.finish(handle)
 
@@ -100,7 +100,7 @@ def test_rapids_follow_their_override_and_cutting_does_not(bench):
     for value in (7.0, 0.25):
         bench.rapid.publish(Float64(data=value))
     bench.spin_until(lambda: bench.state.rapid_override == 0.25)
-    bench.spin_until(lambda: any('7 refused' in text for _, text in bench.diagnostics))
+    bench.spin_until(lambda: any('rapid_override is 7' in text for _, text in bench.diagnostics))
     handle = bench.begin('G21 G90 G94\nTRAORI\nG0 X50 Y0 Z0 A10 C0\nG1 X60 F3000\nG0 X-50\nM30\n')
     bench.finish(handle)
     q, s = bench.recorded()

@@ -9,7 +9,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
 from cnc_interp.nodes.node_main import WARN, Diagnostics
-from cnc_interp.wire.seals import KnownSender, Seal, opened_seal
+from cnc_interp.wire.seals import SECOND, WAITS, KnownSender, Seal, opened_seal
 
 UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node that is just being discovered.
 #: Each stream with the node that receives it.
@@ -85,7 +85,13 @@ class Ear:
         fault = UNSEALED
         if found is not None:
             message, sender, number = found
-            fault = self._known(message).fault(sender, number, time.monotonic())
+            known = self._known(message)
+            fault = known.fault(sender, number, time.monotonic())
+            if fault == WAITS:
+                return
+            if known.waiting and not fault:
+                self.ignore(SECOND, known.waiting)
+                known.waiting = 0
         elif not OWNERS[self._topic]:
             message, fault = data, self._company()
         elif self._spoilt(data):
@@ -105,9 +111,9 @@ class Ear:
         alone = self.subscription.get_publisher_count() <= 1
         return '' if alone else 'has no seal, and is not from the only publisher'
 
-    def ignore(self, fault: str) -> None:
+    def ignore(self, fault: str, messages: int = 1) -> None:
         who = publishers_of(self._node, self._topic, OWNERS[self._topic])
-        self.ignored[who] += 1
+        self.ignored[who] += messages
         self._tell(f'{self._topic} from {who}')
         if self._diagnostics is not None:
             text = f'a message on {self._topic} {fault} and is ignored; its publisher: {who}'

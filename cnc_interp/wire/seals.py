@@ -75,24 +75,34 @@ class Seal:
         return data + code_of(self._place, data)
 
 
+SECOND = 'comes from a second sender'
+WAITS = 'waits for the first sender to be silent'
+
+
 class KnownSender:
     """The one sender of a stream: the first one heard, until it is silent.
 
     ``numbered``: whether the messages have numbers of their own, and may come late or twice.
+    A second sender may be the next process of a node that was lost, so its messages are not told
+    of before the first one is heard again.
     """
 
     def __init__(self, numbered: bool = False):
         self._numbered = numbered
+        self.waiting = 0  #: Messages of a second sender since the first one was heard.
         self._sender, self._number, self._heard = -1, -1, -math.inf
         self._past: set[int] = set()
 
     def fault(self, sender: int, number: int, now: float) -> str:
         """Return why a message with a sound seal does not count; empty if it does."""
         if sender != self._sender:
-            if sender in self._past or now - self._heard < SILENT:
-                return 'comes from a second sender'
+            if sender in self._past:
+                return SECOND
+            if now - self._heard < SILENT:
+                self.waiting += 1
+                return WAITS
             self._past.add(self._sender)
-            self._sender, self._number = sender, -1
+            self._sender, self._number, self.waiting = sender, -1, 0
         if number <= self._number and not self._numbered:
             return 'came before'
         self._number, self._heard = number, now

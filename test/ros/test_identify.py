@@ -45,6 +45,6 @@ def test_the_drive_of_an_axis_is_found_in_a_bag(tmp_path, capfd):
     found, truth = Machine.load(again), Machine.load(tired)
     assert found.drives[0].position_gain == pytest.approx(60.0, rel=0.1)
     assert found.drives[0].backlash == pytest.approx(8 * UM, rel=0.3)
-    assert found.loads[0].coulomb == pytest.approx(truth.loads[0].coulomb, rel=0.3)
+    assert found.limits.loads[0].coulomb == pytest.approx(truth.limits.loads[0].coulomb, rel=0.3)
     page = (tmp_path / 'again.html').read_text()
     assert any('measured minus modelled' in part for part in unpacked(page))

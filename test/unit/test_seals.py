@@ -7,7 +7,7 @@ import pytest
 
 from cnc_interp.core import InterpError
 from cnc_interp.wire import seals
-from cnc_interp.wire.seals import SILENT, KnownSender, Seal, key_in, opened_seal
+from cnc_interp.wire.seals import SILENT, WAITS, KnownSender, Seal, key_in, opened_seal
 
 PLACE = '/cell setpoints'
 RANDOM = np.random.default_rng(54)
@@ -86,9 +86,10 @@ def test_a_key_that_another_user_may_have_made_is_refused(key, spoil):
 def test_the_sender_heard_first_is_the_one_until_it_is_silent():
     known, first, second = KnownSender(), 7, 8
     assert known.fault(first, 0, 0.0) == known.fault(first, 1, 0.9) == ''
-    assert 'second' in known.fault(second, 0, 1.0)
-    assert known.fault(first, 2, 1.1) == ''
+    assert known.fault(second, 0, 1.0) == WAITS
+    assert known.fault(first, 2, 1.1) == '' and known.waiting  # so there are two of them
     assert known.fault(second, 5, 1.2 + SILENT) == ''  # the node was started again
+    assert not known.waiting
     assert 'second' in known.fault(first, 3, 9.9)  # nobody who has ended comes back
     assert known.fault(second, 6, 10.0) == ''
 

@@ -20,7 +20,10 @@ from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
 
 SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
-SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
+#: Tool vectors of a curve that differ less than this share of their coordinates differ by rounding,
+#: and the rotary axes rest. A true turn, however small, would leave them beside the tool axis, and
+#: the next curve would begin with a step.
+SAME_TOOL = 1e-14
 KINK_JERK = 0.02  #: Share of a jerk limit above which a kink, in one period, becomes a stop.
 
 
@@ -143,10 +146,11 @@ class AxisPathBuilder:
             checks.refuse_tilt(self.machine, segments)
             return motion
         tool = segments.top - segments.bottom
+        same = SAME_TOOL * np.abs([segments.top, segments.bottom]).max(axis=(0, 2, 3), initial=0.0)
         for curve, points in ((kinds.CORNER, 5), (kinds.SPLINE, 6)):
             spread = np.ptp(tool[:, :points], axis=1).max(axis=1, initial=0.0)
             bent = np.abs(segments.connection).max(axis=(1, 2), initial=0.0)
-            turns = (spread >= SAME_TOOL) | (bent >= SAME_TOOL)
+            turns = (spread >= same) | (bent >= same)
             motion[(kind == curve) & turns] = axes.FOLLOWING
         angle = norm(segments.rotation)
         turning = (angle > 0.0) & ((kind == kinds.LINE) | (kind == kinds.ROTATION))

@@ -20,9 +20,9 @@ from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
 
 SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
-#: Tool vectors of a curve that differ less than this share of their coordinates differ by rounding,
-#: and the rotary axes rest. A true turn, however small, would leave them beside the tool axis, and
-#: the next curve would begin with a step.
+#: Tool vectors of a curve that differ by less than this share of their coordinates differ by
+#: rounding, and the rotary axes rest. A true turn, however small, would leave them beside the tool
+#: axis, and the next curve would begin with a step.
 SAME_TOOL = 1e-14
 KINK_JERK = 0.02  #: Share of a jerk limit above which a kink, in one period, becomes a stop.
 

@@ -40,7 +40,7 @@ class PathSmoother:
         self._recent: Blocks | None = None  # the last two linear blocks
         self._waiting: PathSegments | None = None  # lines before a spline
         self._row = 0  # program row of the next block
-        self._last: Blocks | None = None  # the last row
+        self._before: Blocks | None = None  # the last two rows
         self._start: FloatArray | None = None  # rotary words of the start pose
 
     def push(self, blocks: Blocks) -> PathSegments:
@@ -55,14 +55,16 @@ class PathSmoother:
     def _push(self, blocks: Blocks) -> PathSegments:
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
-        blocks = settled(blocks, self._last, self._style.height)
-        self._last = blocks[-1:] if len(blocks) else self._last
+        before = blocks[:0] if self._before is None else self._before
+        rows = settled(blocks, before, self._style.height)
+        blocks = rows[len(before) :]
+        self._before = rows[-2:]
         return self._joined(self._taken(self._upright.push(blocks)))
 
     def whole(self, blocks: Blocks) -> PathSegments:
         """Return the segments of a whole path of lines, as ``push`` and ``finish`` do."""
         self._start = blocks.rotary[0]
-        rows = self._upright.push(settled(blocks, None, self._style.height))
+        rows = self._upright.push(settled(blocks, blocks[:0], self._style.height))
         last = self._upright.finish()
         rows = rows if last is None else Blocks.concatenate([rows, last])
         return self._joined([self._lookahead.whole(rows)])

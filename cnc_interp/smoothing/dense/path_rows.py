@@ -10,7 +10,10 @@ from cnc_interp.core import BoolArray, FloatArray, IntArray, norm
 from cnc_interp.core.columns import Table, column
 from cnc_interp.program.blocks import Blocks
 
-STANDSTILL = 1e-9  #: What moves less than this does not move [m]; angles count at flank height.
+TOLERANCES = 'contour_tolerance', 'orientation_tolerance'
+#: What moves less than this does not move [m]; angles count at flank height. Way and turn together
+#: displace the point at flank height by less than 1 nm, which the proof counts as nothing.
+STANDSTILL = 0.5e-9
 
 
 def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
@@ -30,23 +33,28 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
     return np.asarray(np.max(ways, axis=0))
 
 
-def settled(blocks: Blocks, before: Blocks | None, height: float) -> Blocks:
+def settled(blocks: Blocks, before: Blocks, height: float) -> Blocks:
     """Put the end of each block that does not move on the end of the block before it.
 
     So the path goes on from there without a step. The way counts from the last end that moved:
-    small steps may add up to a motion. ``before`` is the last row of the call before.
+    small steps may add up to a motion. The next block takes the tolerances where they are smaller:
+    both corners are one. ``before`` has the last two rows of the call before, and comes first in
+    what is returned.
     """
-    rows = blocks if before is None else Blocks.concatenate([before, blocks])
+    rows = Blocks.concatenate([before, blocks])
     still = np.append(False, way_between(rows[:-1], rows[1:], height) < STANDSTILL)
     # The first control point of a spline is where the tool is; the others are no ends.
     still[1:] &= ~(rows.on_spline[1:] & rows.on_spline[:-1])
     ends = {name: getattr(rows, name).copy() for name in ('tip', 'axis', 'extra', 'rotary')}
+    tolerances = {name: getattr(rows, name).copy() for name in TOLERANCES}
     begin, top = rows.rotary_from.copy(), rows.top.copy()
     for i in range(1, len(rows) if still.any() else 0):
         if still[i - 1]:  # the end before has changed
             last = replace(rows[i - 1 : i], **{name: end[i - 1 : i] for name, end in ends.items()})
             way = way_between(last, rows[i : i + 1], height)[0]
             still[i] = way < STANDSTILL and not rows.on_spline[i - 1]
+            for tolerance in tolerances.values():
+                tolerance[i] = min(tolerance[i - 1], tolerance[i])
         if still[i]:
             top[i] += ends['tip'][i - 1] - ends['tip'][i]
             for end in ends.values():
@@ -56,8 +64,8 @@ def settled(blocks: Blocks, before: Blocks | None, height: float) -> Blocks:
     near = np.abs(begin[1:] - before_it) * height < STANDSTILL
     begin[1:] = np.where(near, before_it, begin[1:])
     if not still.any() and np.array_equal(begin, rows.rotary_from, equal_nan=True):
-        return blocks
-    return replace(rows, rotary_from=begin, top=top, **ends)[len(rows) - len(blocks) :]
+        return rows
+    return replace(rows, rotary_from=begin, top=top, **ends, **tolerances)
 
 
 class Spans(Table):

@@ -7,6 +7,7 @@ import shutil
 import stat
 import sys
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -124,6 +125,11 @@ def parse_yaml(text: str) -> Any:
         return _checked(yaml.load(text, Loader=_LOADER))
     except (yaml.YAMLError, ValueError) as problem:
         raise UnreadableError(' '.join(str(problem).split())[:200]) from None
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether a value of such a file is a finite number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
 def read_json(path: Path) -> Any:

@@ -11,7 +11,6 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.signals import home_input
-from cnc_interp.machine_model.transform_port import Transform
 
 if TYPE_CHECKING:
     from cnc_interp.machine.drives import Drives
@@ -68,6 +67,8 @@ def _start(machine: Machine, height: float) -> FloatArray:
     """Return where simulated axes stand at first: at 0, or the tip over the part."""
     position = np.zeros(len(machine.axis_names))
     if height > 0.0:
+        from cnc_interp.machine_model.transform_port import Transform
+
         zero = Transform.of(machine).linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         low, high = machine.travel[2]
         position[2] = min(max(zero[2] + height, low), high)

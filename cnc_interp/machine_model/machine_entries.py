@@ -3,13 +3,13 @@
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray, MachineError
 from cnc_interp.core.axis_limits import AxisLimits, LimitsByPlace
+from cnc_interp.core.small_files import is_number
 from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 
@@ -343,10 +343,6 @@ def require_known(values: dict[str, Any], known: Collection[str], where: str) ->
     for key in values:
         if key not in known:
             raise MachineError(f'unknown; known: {", ".join(known)}', f'{where}.{key}')
-
-
-def is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
 def number(value: Any, key: str, low: float, high: float) -> float:

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cnc_interp.core import MachineError
-from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml
-from cnc_interp.machine_model.machine_entries import is_number
+from cnc_interp.core.small_files import UnreadableError, config_directory, is_number, read_yaml
 
 #: Letters of a program whose value a function may take: speed, tool, and words of its own block.
 LETTERS = ('S', 'T', 'P', 'Q')

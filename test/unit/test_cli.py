@@ -272,3 +272,15 @@ def test_a_package_that_is_missing_is_named_in_one_line():
     done = subprocess.run(run, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stderr.count('\n') == 1
     assert done.stderr.startswith('cnc-interp: rclpy is not installed')
+
+
+def test_help_needs_neither_compiler_nor_solver():
+    """Numba and what compiles with it took half of the time until the help was there."""
+    script = (
+        'import sys\nfrom cnc_interp.commands.cli import main\n'
+        'try: main(["--help"])\nexcept SystemExit: pass\n'
+        'print([name for name in ("numba", "scipy", "rclpy") if name in sys.modules])'
+    )
+    run = [sys.executable, '-c', script]
+    done = subprocess.run(run, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == '[]'

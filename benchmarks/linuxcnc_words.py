@@ -5,9 +5,10 @@ Random programs in the words of LinuxCNC, read by its own interpreter and by our
     RS274=... python benchmarks/linuxcnc_words.py --expressions [--count 10000]
 
 A seed writes lines, arcs and helices in three planes, G90 G91, G20 G21, G93, canned cycles, G92,
-G10 L2 and L20, work offsets, tool lengths, G53 G28 G30, variables, expressions and O words. Ends,
-arcs, feeds and durations are compared as ``check --program`` does. It prints what differs with its
-seed, and a table at the end. With ``--expressions`` each seed is one random expression.
+G10 L2 and L20, work offsets, tool lengths, G53 G28 G30, variables, expressions, loops and
+subprograms. Ends, arcs, feeds and durations are compared as ``check --program`` does. It prints
+what differs with its seed, and a table at the end. With ``--expressions`` each seed is one random
+expression.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ import numpy as np
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
-from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.program import Blocks, JobSetup, Tool, read_text
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, Setup, read_by_linuxcnc
+from cnc_interp.proof.plain_reader import ReadCall, ReadMove
 from cnc_interp.proof.program_again import compare_places
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.options import Settings
@@ -34,6 +36,7 @@ from cnc_interp.settings.options import Settings
 PLANES = {'G17': ('XYZ', 'IJ'), 'G18': ('ZXY', 'KI'), 'G19': ('YZX', 'JK')}
 CYCLES = 'G81', 'G82', 'G83', 'G73', 'G85', 'G86', 'G89', 'G84', 'G74'
 LENGTHS = {1: 0.010, 2: 0.025}  # [m]
+ALIKE, DIFFERENT = 'alike', 'DIFFERENT'
 KINDS = {
     'line': 0.22,
     'rapid': 0.10,
@@ -49,7 +52,8 @@ KINDS = {
     'tool': 0.02,
     'other': 0.02,
     'variable': 0.03,
-    'flow': 0.04,
+    'flow': 0.06,
+    'subprogram': 0.05,
 }
 
 
@@ -71,6 +75,7 @@ class Writer:
     timed: bool = False
     variables: list[int] = field(default_factory=list)
     words: int = 0  # numbers of O words
+    called: list[str] = field(default_factory=list)  # subprograms
 
     def say(self, *lines: str) -> None:
         """Write lines."""
@@ -195,7 +200,20 @@ class Writer:
         """Write a loop or a choice."""
         self.words += 1
         o, chance, feed = f'o{self.words}', self.r.random(), ' F150' * self.timed
-        if chance < 0.4:
+        if chance < 0.2:
+            leaves = self.r.choice(('break', 'continue'))
+            self.say(
+                '#41=0',
+                f'{o} do',
+                '#41=[#41+1]',
+                f'G1 Y[#41*{self.number()}]{feed}',
+                f'o{1000 + self.words} if [#41 eq {self.r.randint(1, 3)}]',
+                f'{o} {leaves}',
+                f'o{1000 + self.words} endif',
+                f'G0 {self.axes()}',
+                f'{o} while [#41 lt {self.r.randint(1, 4)}]',
+            )
+        elif chance < 0.4:
             self.say(
                 f'{o} repeat [{self.r.randint(1, 3)}]',
                 f'G91 G1 {self.axes()}{feed}',
@@ -219,12 +237,32 @@ class Writer:
                 f'{o} endwhile',
             )
 
+    def subprogram(self) -> None:
+        """Write a subprogram, and calls of it with values, which may call one before."""
+        self.words += 1
+        o, r, feed = f'o{self.words}', self.r, ' F150' * self.timed
+        if r.random() < 0.3:
+            o = f'o<part{self.words}>'
+        inner = [f'G1 X#1{feed}', f'G1 Y[#2+{r.randint(0, 5)}]{feed}', f'G0 {self.axes()}']
+        if self.called and r.random() < 0.5:
+            inner.append(f'{r.choice(self.called)} call [#2] [{self.number()}]')
+        if r.random() < 0.3:
+            inner += [f'o{1000 + self.words} if [#1 gt #2]', f'{o} return [#1]']
+            inner += [f'o{1000 + self.words} endif']
+        end = f'{o} endsub' + r.choice(('', ' [#1+#2]'))
+        self.say(f'{o} sub', *r.sample(inner[:3], r.randint(1, 3)), *inner[3:], end)
+        self.called.append(o)
+        for _ in range(r.randint(1, 3)):
+            self.say(f'{o} call [{self.number()}] [{self.number()}]')
+            if r.random() < 0.3:
+                self.say('G0 Z#<_value>')
+
 
 def made(seed: int) -> str:
     """Return the program of a seed."""
     writer = Writer(random.Random(seed))
     for kind in writer.r.choices(list(KINDS), list(KINDS.values()), k=writer.r.randint(4, 22)):
-        if kind in ('line', 'rapid', 'arc', 'cycle', 'flow'):
+        if kind in ('line', 'rapid', 'arc', 'cycle', 'flow', 'subprogram'):
             getattr(writer, kind)()
         else:
             writer.switch(kind)
@@ -258,36 +296,67 @@ def operand(r: random.Random, depth: int) -> str:
     return f'{r.choice(FUNCTIONS)}[{expression(r, depth + 1)}]'
 
 
-def compare_expressions(first: int, count: int, transform: Transform, job: JobSetup) -> None:
-    """Evaluate random expressions by both readers; print what differs, and a table."""
-    counts: Counter[str] = Counter()
-    for seed in range(first, first + count):
+class Readers:
+    """Both readers on a machine whose zeros are all in one point, with two tools."""
+
+    def __init__(self) -> None:
+        self.machine = replace(Machine.load('xyz'), offsets=np.zeros((3, 3)))
+        self.transform, self.setup = Transform.of(self.machine), Setup(tool_lengths=LENGTHS)
+        zeros = {name: dict.fromkeys('XYZ', 0.0) for name in WORK_OFFSETS}
+        self.job = JobSetup(zeros, {number: Tool(length) for number, length in LENGTHS.items()})
+
+    def by_us(self, text: str) -> Blocks:
+        return read_text(text, 'p.ngc', self.transform, Settings(), self.job).blocks
+
+    def by_linuxcnc(self, text: str, rows: int) -> list[ReadMove | ReadCall]:
+        return list(read_by_linuxcnc(text, self.machine.axis_names, False, rows, self.setup))
+
+    def expression(self, seed: int) -> tuple[str, str]:
+        """Evaluate a random expression by both readers; return what came of it, and values."""
         wanted = expression(random.Random(seed))
         text = f'G21 G90\n#1=4\n#2=-6\n#3=0.75\n#4=[{wanted}]\nG0 X[#4]\nM2\n'
-        values: list[float | str] = []
+        ours: float | str
+        theirs: float | str
         try:
-            values.append(
-                1e3 * float(read_text(text, 'p.ngc', transform, Settings(), job).blocks.tip[-1, 0])
-            )
+            ours = 1e3 * float(self.by_us(text).tip[-1, 0])
         except InterpError as problem:
-            values.append(cause_of(str(problem).splitlines()[0]))
+            ours = cause_of(str(problem).splitlines()[0])
         try:
-            moves = list(read_by_linuxcnc(text, ('X', 'Y', 'Z'), False, 10))
-            values.append(1e3 * float(moves[-1].end[0]) if moves else 0.0)
+            moves = [each for each in self.by_linuxcnc(text, 10) if isinstance(each, ReadMove)]
+            theirs = 1e3 * float(moves[-1].end[0]) if moves else 0.0
         except LinuxCNCError as problem:
-            values.append(cause_of(str(problem)))
-        ours, theirs = values
+            theirs = cause_of(str(problem))
         if isinstance(ours, str) or isinstance(theirs, str):
             both = isinstance(ours, str) and isinstance(theirs, str)
             by_us, why = isinstance(ours, str), ours if isinstance(ours, str) else theirs
             who = 'us' if by_us else 'LinuxCNC'
-            counts['refused by both' if both else f'refused by {who}: {why}'] += 1
-        elif abs(ours - theirs) <= 1e-4 + 1e-9 * abs(theirs):
-            counts['alike'] += 1
-        else:
-            counts['DIFFERENT'] += 1
-            print(seed, wanted, ours, theirs, sep='  ', flush=True)
-    print(json.dumps(dict(counts.most_common()), indent=1))
+            return 'refused by both' if both else f'refused by {who}: {why}', wanted
+        alike = abs(ours - theirs) <= 1e-4 + 1e-9 * abs(theirs)
+        return ALIKE if alike else DIFFERENT, f'{wanted}  {ours}  {theirs}'
+
+    def program(self, seed: int) -> tuple[str, tuple[str, ...], int]:
+        """Read a random program by both; return what came of it, faults, and motions alike."""
+        text, refused, rows = made(seed), '', 4000
+        try:
+            blocks = self.by_us(text)
+            rows = len(blocks)
+            columns = {'extra_axes': np.zeros((rows, 0))} | block_columns(blocks)
+        except InterpError as problem:
+            refused = cause_of(str(problem).splitlines()[0])
+        try:
+            moves = self.by_linuxcnc(text, rows)
+        except LinuxCNCError as problem:
+            why = f'refused by LinuxCNC, {cause_of(str(problem))}'
+            return 'refused by both' if refused else why, (), 0
+        if refused:
+            return f'refused by us, {refused}', (), 0
+        found = compare_places(columns, self.machine, moves)
+        what = ALIKE
+        if found.faults and (rounded := re.sub(r'(?<=Q)[\d.]+', _a_little_more, text)) != text:
+            # LinuxCNC pecks once more where only rounding is left.
+            found = compare_places(columns, self.machine, self.by_linuxcnc(rounded, rows))
+            what = 'alike but for a peck of rounding'
+        return DIFFERENT if found.faults else what, found.faults[:2], found.motions
 
 
 def _a_little_more(peck: re.Match[str]) -> str:
@@ -310,41 +379,17 @@ def main() -> None:
     if options.show is not None:
         options.first, options.count = options.show, 1
         print(made(options.show))
-    machine = replace(Machine.load('xyz'), offsets=np.zeros((3, 3)))
-    transform, setup = Transform.of(machine), Setup(tool_lengths=LENGTHS)
-    zeros = {name: dict.fromkeys('XYZ', 0.0) for name in WORK_OFFSETS}
-    job = JobSetup(zeros, {number: Tool(length) for number, length in LENGTHS.items()})
-    if options.expressions:
-        compare_expressions(options.first, options.count, transform, job)
-        return
     counts: Counter[str] = Counter()
+    readers = Readers()
     for seed in range(options.first, options.first + options.count):
-        text, refused = made(seed), ''
-        try:
-            blocks = read_text(text, 'p.ngc', transform, Settings(), job).blocks
-            columns = {'extra_axes': np.zeros((len(blocks), 0))} | block_columns(blocks)
-        except InterpError as problem:
-            refused, columns = cause_of(str(problem).splitlines()[0]), {'line': np.zeros(4000)}
-        try:
-            rows = len(columns['line'])
-            moves = list(read_by_linuxcnc(text, machine.axis_names, False, rows, setup))
-        except LinuxCNCError as problem:
-            both = 'refused by both' if refused else 'refused by LinuxCNC, '
-            counts[both if refused else both + cause_of(str(problem))] += 1
-            continue
-        if refused:
-            counts['refused by us, ' + refused] += 1
-            continue
-        found = compare_places(columns, machine, moves)
-        if found.faults and (rounded := re.sub(r'(?<=Q)[\d.]+', _a_little_more, text)) != text:
-            # LinuxCNC pecks once more where only rounding is left.
-            moves = list(read_by_linuxcnc(rounded, machine.axis_names, False, rows, setup))
-            found = compare_places(columns, machine, moves)
-            counts['but for a peck of rounding'] += not found.faults
-        counts['DIFFERENT' if found.faults else 'alike'] += 1
-        counts['motions alike'] += found.motions
-        if found.faults:
-            print(seed, *found.faults[:2], sep='\n  ', flush=True)
+        if options.expressions:
+            what, *told = readers.expression(seed)
+        else:
+            what, told, motions = readers.program(seed)
+            counts['motions alike'] += motions
+        counts[what] += 1
+        if what == DIFFERENT:
+            print(seed, *told, sep='\n  ', flush=True)
     print(json.dumps(dict(counts.most_common()), indent=1))
 
 

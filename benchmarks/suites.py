@@ -1,45 +1,59 @@
 """
-Other people's programs as judges of the reader: LinuxCNC's interpreter tests, and Sinumerik's.
+Other people's programs as judges of the reader: LinuxCNC's interpreter tests, Sinumerik's, cases.
 
-``PYTHONPATH=. python benchmarks/suites.py ../shared/suites`` reads every program of both suites
-and prints a table: motions as expected, refused as expected, refused although it runs, accepted
-although it is refused, or other motions. ``--all`` prints every case.
+``PYTHONPATH=. python benchmarks/suites.py ../shared/suites`` reads every program of both suites,
+and those of the corpus with ``../shared/cases``. It prints a table: motions as expected, refused
+as expected, refused although it runs, accepted although it is refused, or other motions. The
+motions of the corpus are compared with the second readers, where one knows all words. The last
+table counts programs with follow-up errors: refusals that are gone once the first refused line
+is left out. ``--all`` prints every case.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import importlib.util
+import io
 import json
 import re
+import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import yaml
 
-from cnc_interp.core import INCH, MM, InterpError
+from cnc_interp.commands.cli import BAD_INPUT, FINE
+from cnc_interp.commands.cli import main as main_of_commands
+from cnc_interp.core import INCH, MM, InterpError, ProgramError, RefusedLinesError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import ANGLE, FOLLOWS, FREE, Signals, signals
 from cnc_interp.machine_model.transform_port import Transform
-from cnc_interp.program import Blocks, JobSetup, Tool
+from cnc_interp.program import Blocks, JobSetup, Tool, read_text
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.reading import open_program
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.options import Settings
 
-AGREES, MUST, REFUSED, ACCEPTED, WRONG, EMPTY = (
+AGREES, MUST, REFUSED, ACCEPTED, WRONG, EMPTY, NOT_COMPARED = (
     'agrees',
     'refused as it must be',
     'refused, but runs',
     'ACCEPTED, but is refused',
     'WRONG',
     'no motion in it',
+    'read as the corpus demands; no second reader knows all words',
 )
+ROOT = Path(__file__).resolve().parents[1]
+#: Inputs of the corpus: its own, and those beside the repository.
+CORPUS = ROOT / 'test' / 'corpus' / 'inputs', ROOT.parent / 'shared' / 'cases'
+SUFFIXES = {'.ngc', '.nc', '.mpf', '.spf', '.h', '.apt', '.cl', '.ncl', '.min', '.i'}
 #: Positions of the Sinumerik suite agree within this [mm].
 NEAR = 2e-3
 #: Cases that are not as expected, with the reason.
@@ -226,21 +240,102 @@ def sinumerik(folder: Path) -> Iterator[tuple[str, str, str]]:
         yield program.stem, AGREES if missing is None else WRONG, reason
 
 
+def cases(_: Path) -> Iterator[tuple[str, str, str]]:
+    """Yield case, verdict and reason for the programs that broke us once, as users run them."""
+    for case in yaml.safe_load((CORPUS[0].parent / 'cases.yaml').read_text())['cases']:
+        if case.keys() & {'command', 'generate', 'thorough', 'fault'}:
+            continue
+        path = next(each for folder in CORPUS if (each := folder / case['input']).exists())
+        given = case.get('options', [])
+        options = [str(CORPUS[1] / w) if w.endswith('.yaml') else w for w in given]
+        wanted = case['today'].get('refused', ())
+        wanted = [wanted] if isinstance(wanted, str) else wanted
+        machine = case.get('machines', ['xyzac'])[0]
+        with tempfile.TemporaryDirectory() as plan:
+            words = ['plan', str(path), '--machine', machine, '--out', plan, *options]
+            code, told = said_by(words)
+            told = [line for line in told if not line.startswith('note: ')]
+            if code != FINE or wanted:
+                expected = len(told) == len(wanted) and all(map(str.__contains__, told, wanted))
+                refused = MUST if expected else REFUSED if code else ACCEPTED
+                yield case['input'], refused, (*told, '')[-1]
+                continue
+            code, told = said_by(['check', plan, '--program', str(path)])
+        verdict = {FINE: AGREES, BAD_INPUT: NOT_COMPARED}.get(code, WRONG)
+        yield case['input'], verdict, ' '.join(told[-2:])
+
+
+def said_by(words: list[str]) -> tuple[int, list[str]]:
+    """Run a command; return its exit code and the lines of what it tells of faults."""
+    out, error = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+        code = main_of_commands(words)
+    return code, (error.getvalue() or out.getvalue()).splitlines()
+
+
+def follow_ups(path: Path, read_it: Callable[[str], object]) -> tuple[int, list[str]]:
+    """Return the number of refusals of a program, and those that follow from the first one."""
+    text = path.read_text('utf-8-sig', errors='replace')
+
+    def refusals(text: str) -> tuple[ProgramError, ...]:
+        try:
+            read_it(text)
+        except RefusedLinesError as problem:
+            return tuple(each for each in problem.errors if isinstance(each, ProgramError))
+        except ProgramError as problem:
+            return (problem,)
+        return ()
+
+    told = refusals(text)
+    if len(told) < 2:
+        return len(told), []
+    lines = text.splitlines()
+    lines[told[0].line_number - 1] = ''
+    left = {(each.line_number, each.word) for each in refusals('\n'.join(lines) + '\n')}
+    beyond = (each for each in told[1:] if (each.line_number, each.word) not in left)
+    return len(told), [str(each) for each in beyond]
+
+
+def count_follow_ups(folder: Path) -> None:
+    """Print how many programs have refusals, and which of them follow from others."""
+    counts: Counter[str] = Counter()
+    programs = [*folder.rglob('*.ngc'), *folder.rglob('*.mpf'), *CORPUS[0].iterdir()]
+    programs += [path for path in CORPUS[1].rglob('*') if path.suffix.lower() in SUFFIXES]
+    for path in sorted(programs):
+        axes = set(re.findall(r'(?<![A-Z])[ABC](?=[-+\s=]*\d)', path.read_text(errors='replace')))
+        machine = Machine.load('xyz' if not axes else 'xyzbc' if 'B' in axes else 'xyzac')
+        geometry = Transform.of(machine)
+
+        def read_it(text: str, path: Path = path, geometry: Transform = geometry) -> None:
+            read_text(text, path.name, geometry, Settings())
+
+        told, followers = follow_ups(path, read_it)
+        counts['programs'] += 1
+        counts['refused'] += told > 0
+        counts['refused for several reasons'] += told > 1
+        counts['with follow-up errors'] += bool(followers)
+        for follower in followers:
+            print(f'    FOLLOW-UP: {path}: {follower}')
+    print('\nrefusals:', json.dumps(counts))
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('folder', type=Path)
     parser.add_argument('--all', action='store_true', help='print every case')
     arguments = parser.parse_args()
-    for name, cases in (('linuxcnc-interp', linuxcnc), ('cead-sinumerik', sinumerik)):
-        found = list(cases(arguments.folder / name))
+    judges = {'linuxcnc-interp': linuxcnc, 'cead-sinumerik': sinumerik, 'cases': cases}
+    for name, judged in judges.items():
+        found = list(judged(arguments.folder / name))
         print(f'\n{name}: {len(found)} cases')
         for verdict, count in Counter(verdict for _, verdict, _ in found).most_common():
             print(f'  {count:3d}  {verdict}')
         for case, verdict, why in found:
-            if arguments.all or verdict not in (AGREES, MUST):
+            if arguments.all or verdict not in (AGREES, MUST, NOT_COMPARED):
                 because = f' ({EXCEPTIONS[case]})' if case in EXCEPTIONS else ''
                 print(f'    {verdict}: {case}: {why}{because}')
+    count_follow_ups(arguments.folder)
 
 
 if __name__ == '__main__':

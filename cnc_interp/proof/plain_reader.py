@@ -24,6 +24,10 @@ IDLE_G = frozenset(
         '43',
         '43.4',
         '49',
+        '50',
+        '50.1',
+        '51',
+        '51.1',
         '54',
         '80',
         '91.1',
@@ -89,8 +93,10 @@ IDLE_CL = frozenset(
     )
 )
 _WORD = re.compile(r'([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*')
+#: Words that mirror or scale X Y Z.
+SCALING = {'G50', 'G50.1', 'G51', 'G51.1', 'MIRROR', 'AMIRROR', 'SCALE', 'ASCALE'}
 _NAMED = re.compile(
-    r'(TRAORI|TRAFOOF|(?:CTOL|OTOL|ORICURVE|ORIVECT|ORIAXES)(?:\s*=\s*[\d.]+)?)\b\s*'
+    r'(TRAORI|TRAFOOF|A?MIRROR|A?SCALE|(?:CTOL|OTOL|ORICURVE|ORIVECT|ORIAXES)(?:\s*=\s*[\d.]+)?)\b\s*'
 )
 
 
@@ -187,6 +193,9 @@ class _State:
         self.turn_feed = self.feed / MM * DEG
         self.ended = False
         self.tolerance = self.orientation = float('nan')
+        #: Where axes are mirrored, their scales and the point about which they are scaled.
+        self.mirrors: dict[int, float] = {}
+        self.scales, self.about = np.ones(3), np.zeros(3)
         # Where the tool tip is in the words that hold after a switch, only the first reader knows.
         self.unknown: set[str] = set()
 
@@ -286,6 +295,8 @@ class _State:
         if self.by_normals and {'I', 'J', 'K'} & set(words):
             given = np.array([words.pop(letter, 0.0) for letter in 'IJK'])
             self.normal = given / np.linalg.norm(given)
+        for code in SCALING & set(codes):
+            self.scale(code, words, line)
         if 'F' in words:
             self.turn_feed = words['F'] * DEG / 60.0
             self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
@@ -296,6 +307,42 @@ class _State:
         if words:
             self.move(words)
         self.rests_once = False
+
+    def scale(self, code: str, words: dict[str, float], line: str) -> None:
+        if self.tcp:
+            raise self.refuse(f'{code} with tool-tip programming')
+        given = {k: words.pop(axis) for k, axis in enumerate('XYZ') if axis in words}
+        places = {k: value * self.unit for k, value in given.items()}
+        factors = dict(re.findall(r'([PIJK])\s*([-+]?[\d.]+)', line))
+        if code in ('MIRROR', 'SCALE'):
+            self.mirrors, self.scales, self.about = {}, np.ones(3), np.zeros(3)
+        if code == 'G51':
+            now = (self.here[:3] - self.offset()) / self.factor()
+            self.about = np.array([places.get(k, now[k]) for k in range(3)])
+            counts = {k: float(v) * (1.0 if '.' in v else 1e-3) for k, v in factors.items()}
+            self.scales = np.array([counts.get(k, counts.get('P', 1.0)) for k in 'IJK'])
+        elif code in ('G50', 'G50.1'):
+            for k in given or dict(self.mirrors) if code == 'G50.1' else ():
+                self.mirrors.pop(k, None)
+            if code == 'G50':
+                self.scales, self.about = np.ones(3), np.zeros(3)
+        elif code.endswith('SCALE'):
+            self.scales = self.scales * [given.get(k, 1.0) for k in range(3)]
+        elif code == 'G51.1':
+            self.mirrors = self.mirrors | places
+        else:  # an axis that is mirrored twice is not
+            self.mirrors = dict.fromkeys(self.mirrors.keys() ^ given.keys(), 0.0)
+        for letter in factors:
+            words.pop(letter, None)
+
+    def factor(self) -> FloatArray:
+        sides = [-1.0 if k in self.mirrors else 1.0 for k in range(3)]
+        return np.asarray(self.scales * sides)
+
+    def offset(self) -> FloatArray:
+        """Return where the zero of the program is, mirrored and scaled [m]."""
+        mirrored = np.array([2.0 * self.mirrors.get(k, 0.0) for k in range(3)])
+        return np.asarray(self.about + self.scales * (mirrored - self.about))
 
     def rest(self) -> None:
         move = self.read[self.last] if self.last >= 0 else None
@@ -348,7 +395,8 @@ class _State:
             if letter in self.names:
                 k = self.names.index(letter)
                 size = DEG if letter in 'ABC' else self.unit
-                end[k] = value * size + (0.0 if self.absolute else start[k])
+                factor, zero = (self.factor()[k], self.offset()[k]) if k < 3 else (1.0, 0.0)
+                end[k] = factor * value * size + (zero if self.absolute else start[k])
         arc = self.motion in ('2', '3')
         if self.unknown and (arc or not (self.absolute and self.unknown <= set(words))):
             what = 'an arc' if arc else 'X Y Z not named'
@@ -357,6 +405,7 @@ class _State:
         if not self.motion:
             raise self.refuse('axis words before G0 or G1')
         self.here, sweep = end, {'2': -1, '3': 1}.get(self.motion, 0)
+        sweep *= int(np.prod(np.sign(self.factor()[list(self.plane[:2])])))
         if sweep and words.keys().isdisjoint('IJKR'):
             raise self.refuse('an arc without I J K and R')
         centre = self.centre(words, start, end, sweep) if sweep else None
@@ -368,12 +417,14 @@ class _State:
         a, b, _ = self.plane
         if 'R' not in words:
             away = np.array([words.get('IJK'[k], 0.0) * self.unit for k in (a, b)])
+            away *= self.factor()[[a, b]]
             gap = abs(np.linalg.norm(start[[a, b]] + away - end[[a, b]]) - np.linalg.norm(away))
             if gap > max(0.1 * MM, 0.01 * float(np.linalg.norm(away))):
                 raise self.refuse('an arc whose I J K are not the way from its start')
             return np.asarray(start[[a, b]] + away)
         chord = end[[a, b]] - start[[a, b]]
-        radius, half = words['R'] * self.unit, 0.5 * float(np.linalg.norm(chord))
+        size = abs(float(self.factor()[a])) * self.unit
+        radius, half = words['R'] * size, 0.5 * float(np.linalg.norm(chord))
         height = np.sqrt(max(radius**2 - half**2, 0.0)) / max(half, 1e-12)
         side = sweep * (1.0 if radius > 0.0 else -1.0)
         across = 0.5 * np.array([-chord[1], chord[0]])

@@ -25,6 +25,15 @@ PROGRAMS = {
     'circle.ngc': 'TRAORI\nORIVECT\nG0 X0 A10 C0\nG1 X20 A15 C30 F3000\nORIAXES\nX25 C60\nY5\n',
     'turns.ngc': 'G0 X0 Y0\nG3 X10 Y0 I5 J0 P2 F1000\nG1 X20\n',
     'stops.ngc': 'G0 X0\nG61\nG1 X5 Y5 F900\nX9\nG64\nX12\nY9\nY12\nM0\nX0\nG4 P1\nY0\n',
+    'scaled.nc': (
+        'G21 G90 G17\nG0 X0 Y0 Z0\nG51.1 X20 Y5\nG1 X10 F900\nG2 X12 Y14 R9\nG3 X14 Y14 R4\n'
+        'G50.1 Y0\nG91 G1 X5\nG90 G51 X10 Y0 Z0 I2000 J2000 K500\nG3 X12 Y8 R30 Z3\nG18 G1 X9\n'
+        'G50\nY0\nG17 G3 X20 Y0 R40\nG50.1\nG1 X3\nG51 Z4 P0.5\nG1 X9 Z9\nM30\n'
+    ),
+    'mirrored.mpf': (
+        'G90 G0 X0 Y0 Z0\nMIRROR X0\nG1 X10 F900\nASCALE X2 Y2 Z2\nY10\nG2 I5 J0\n'
+        'AMIRROR X0 Y0\nG1 X3 Y4\nSCALE\nX5 Y5\nM30\n'
+    ),
     'axes.ngc': 'G0 X0 A0 C0\nG1 X10 A10 F2000\nC90\nY10 C0\n',
     'path.apt': (
         'PARTNO A\nUNITS/MM\nMULTAX\nFEDRAT/2000\nGOTO/0,0,0,0,0,1\nGOTO/10,0,0,0,0.28,0.96\n'
@@ -42,6 +51,8 @@ MOTIONS = {
     'tcp.ngc': (4, 0),
     'circle.ngc': (4, 0),
     'axes.ngc': (4, 0),
+    'scaled.nc': (11, 4),
+    'mirrored.mpf': (6, 1),
     'path.apt': (3, 0),
     'kept.ngc': (4, 1),
 }
@@ -71,6 +82,12 @@ CHANGED = [
     ('tcp.ngc', 'TRAORI', 'TRAFOOF', 'line 2 of the program: ends'),
     ('circle.ngc', 'ORIVECT', 'ORIAXES', 'line 4 of the program: has rotary words, its row'),
     ('axes.ngc', 'X10 A10', 'X10 A11', 'line 2 of the program: ends'),
+    ('scaled.nc', 'G51.1 X20', 'G51.1 X21', 'line 4 of the program: ends 2 mm'),
+    ('scaled.nc', 'G50.1 Y0', 'G50.1 X0', 'line 8 of the program: ends'),
+    ('scaled.nc', 'G2 X12', 'G3 X12', 'line 5 of the program: turns by'),
+    ('scaled.nc', 'J2000', 'J1000', 'line 10 of the program: ends'),
+    ('scaled.nc', 'G51 Z4', 'G51 Z5', 'line 18 of the program: ends'),
+    ('mirrored.mpf', 'MIRROR X0\nG1', 'MIRROR Y0\nG1', 'line 3 of the program: ends 20 mm'),
     ('path.apt', '0.28,0.96', '0.29,0.957', 'line 6 of the program: its tool axis'),
     ('path.apt', 'RAPID\n', '\n', 'line 8 of the program: is no rapid'),
 ]
@@ -105,7 +122,7 @@ def test_both_readers_agree(name, tmp_path, capsys):
     assert readers[-1] == 'read by the second reader of plain words'
     if not interpreter():
         assert readers[0] == "LinuxCNC's rs274 is not installed"
-    elif name in ('tcp.ngc', 'circle.ngc', 'path.apt'):
+    elif name in ('tcp.ngc', 'circle.ngc', 'path.apt', 'scaled.nc', 'mirrored.mpf'):
         assert readers[0].startswith("LinuxCNC's rs274 cannot read it: ")
     else:
         assert readers[0] == "read by LinuxCNC's rs274 to 0.0001 of its unit"

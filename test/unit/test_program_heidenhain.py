@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cnc_interp.core import DEG, MM, ProgramError
+from cnc_interp.core import DEG, MM, ProgramError, RefusedLinesError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_program, read_text
@@ -163,6 +163,62 @@ def test_datum_shift_rotation_and_planes():
     np.testing.assert_allclose(blocks.tip[-2:] / MM, ends, atol=1e-9)
 
 
+PART = (
+    'L X+5 Y+6 Z+3 FMAX|L X+20 F600|CC X+20 Y+16|C X+30 Y+16 DR+|L IY+10|CR X+40 Y+36 R+10 DR-|'
+    'CC X+40 Y+16|LP PR+10 PA+90|L X+50 Y+26|RND R2|L X+50 Y+0'
+)
+
+
+@pytest.mark.parametrize(
+    ('head', 'factor', 'moved'),
+    [
+        ('CYCL DEF 8.0 MIRROR IMAGE|CYCL DEF 8.1 X', [-1, 1, 1], [0, 0, 0]),
+        ('CYCL DEF 8.1 X Y', [-1, -1, 1], [0, 0, 0]),
+        ('CYCL DEF 8.1 X|CYCL DEF 8.1', [1, 1, 1], [0, 0, 0]),
+        ('CYCL DEF 7.1 X+10|CYCL DEF 8.1 X', [-1, 1, 1], [10, 0, 0]),
+        (
+            'CYCL DEF 7.1 Y+10|CYCL DEF 11.0 SCALING|CYCL DEF 11.1 SCL0.5',
+            [0.5, 0.5, 0.5],
+            [0, 10, 0],
+        ),
+        ('CYCL DEF 26.1 X2 Y2 CCX+15 CCY-20', [2, 2, 1], [-15, 20, 0]),
+        ('CYCL DEF 26.1 Z3|CYCL DEF 8.1 Y', [1, -1, 3], [0, 0, 0]),
+        ('CYCL DEF 11.1 SCL 3|CYCL DEF 11.1 SCL 1', [1, 1, 1], [0, 0, 0]),
+    ],
+)
+def test_cycles_8_11_and_26_mirror_and_scale_places_arcs_and_corners(head, factor, moved):
+    """Every point of the lines and arcs is that of the part, mirrored or scaled about the datum."""
+    plain, found = read(PART).blocks, read(f'{head}|{PART}').blocks
+    first = np.flatnonzero(np.diff(plain.line_number, append=0))
+    last = np.flatnonzero(np.diff(found.line_number, append=0))
+    wanted = plain.tip[first] / MM * factor + moved
+    np.testing.assert_allclose(found.tip[last] / MM, wanted, atol=1e-9)
+    shift = 1 + head.count('|')
+    for line, centre in ((5, (20, 16)), (7, (40, 26))):
+        arc = found.tip[found.line_number == line + shift] / MM
+        assert len(arc) > 3
+        away = np.linalg.norm(arc[:, :2] - (np.array(centre) * factor[:2] + moved[:2]), axis=1)
+        np.testing.assert_allclose(away, 10 * abs(factor[0]), atol=1e-9)
+    np.testing.assert_allclose(found.feedrate[-1] * 60 / MM, 600)
+
+
+def test_a_rotation_counts_on_under_a_scale_and_increments_add_up():
+    text = 'CYCL DEF 11.1 SCL2|CYCL DEF 10.1 ROT+30|CYCL DEF 10.1 IROT+60|L X+3 Y+0 Z+0 FMAX'
+    np.testing.assert_allclose(corners(text), [[0, 6, 0]], atol=1e-9)
+    text = 'CYCL DEF 10.1 ROT+90|CYCL DEF 8.1 X|L X+3 Y+1 Z+0 FMAX|CYCL DEF 8.1|L X+3 FMAX'
+    np.testing.assert_allclose(corners(text), [[-1, -3, 0], [-1, 3, 0]], atol=1e-9)
+
+
+def test_holes_are_scaled_with_their_depth():
+    text = (
+        'CYCL DEF 11.1 SCL2|CYCL DEF 200 D~\nQ200=1~\nQ201=-3~\nQ206=100~\nQ203=0~\nQ204=5|'
+        'L X+4 Y+0 Z+5 FMAX M99'
+    )
+    blocks = read(text).blocks
+    np.testing.assert_allclose(blocks.tip[:, 2] / MM, [10, 2, -6, 10], atol=1e-9)
+    np.testing.assert_allclose(blocks.tip[:, 0] / MM, 8, atol=1e-9)
+
+
 @pytest.mark.parametrize(('angle', 'choice'), [(0.0, ''), (30.0, 'SEQ-'), (-20.0, 'SEQ+')])
 def test_words_turn_the_axes_to_a_plane_and_m140_draws_the_tool_back_along_itself(angle, choice):
     plane = f'PLANE SPATIAL SPA+{angle} SPB+0 SPC+0 STAY {choice} TABLE ROT|'.replace('+-', '-')
@@ -215,7 +271,13 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
         ('L X+Q9 F9', 'before it is set'),
         ('Q1 = 1 / 0', 'no value'),
         ('Q1 = (2', 'cannot be read'),
-        ('CYCL DEF 11.0 SCALING|CYCL DEF 11.1 SCL 2', 'scaling'),
+        ('CYCL DEF 11.1 SCL 0', 'a scale must be from'),
+        ('CYCL DEF 8.1 A', 'A: this word is not supported'),
+        ('CYCL DEF 26.1 X2|CC X+5 Y+0|C X+10 Y+0 DR+ F9', 'different scales'),
+        ('CYCL DEF 8.1 X|CYCL DEF 7.1 X5', 'write CYCL DEF 8.1 without axes'),
+        ('CYCL DEF 8.1 X|CYCL DEF 10.1 ROT+30', 'CYCL DEF 10: axes are mirrored'),
+        ('CYCL DEF 8.1 X|CYCL DEF 26.1 X2 CCX+1', 'the centre of a scale'),
+        ('CYCL DEF 8.1 Z|CYCL DEF 200 D~\nQ201=-1~\nQ206=9|CYCL CALL', 'CYCL DEF 200: axes are'),
         ('L X+0 Z+50 FMAX|CYCL DEF 204 X|CYCL CALL', 'Q214 from 1 to 4'),
         (
             'TOOL CALL 1 Z|L X+0 Z+9 FMAX|CYCL DEF 208 X~\nQ201=-3~\nQ334=2~\nQ335=17|CYCL CALL',
@@ -274,9 +336,15 @@ def test_a_point_without_digits_in_an_old_cycle_is_refused(cycle):
 def test_a_comment_goes_on_and_a_program_is_called_whatever_its_case(tmp_path):
     (tmp_path / 'part.h').write_text(
         '0 BEGIN PGM PART MM\n1 ;THIS COMMENT GOES ON~\n X+99~\n to here\n2 L X+0 Y+0 FMAX\n'
-        '3 CALL PGM Step.H\n4 L X+7 FMAX\n5 END PGM PART MM\n'
+        '3 CALL PGM Step.H\n4 L X+7 FMAX ; goes on~\n and on\n5 FOO ; (a fault~\n of one line)\n'
+        '6 END PGM PART MM\n'
     )
     (tmp_path / 'Step.H').write_text('0 BEGIN PGM STEP MM\n1 L Y+5 FMAX\n2 END PGM STEP MM\n')
+    with pytest.raises(ProgramError, match=':9: FOO') as refusal:
+        read_program(tmp_path / 'part.h', XYZ, Settings())
+    assert not isinstance(refusal.value, RefusedLinesError)
+    text = (tmp_path / 'part.h').read_text().replace('FOO', 'M8')
+    (tmp_path / 'part.h').write_text(text)
     blocks = read_program(tmp_path / 'part.h', XYZ, Settings()).blocks
     np.testing.assert_allclose(blocks.tip[:, :2] / MM, [[0, 0], [0, 5], [7, 5]], atol=1e-9)
 

@@ -1,5 +1,7 @@
 """Programs read by LinuxCNC's interpreter and by ours (tools/get_rs274 fetches it)."""
 
+import sys
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +20,9 @@ from cnc_interp.settings.options import Settings
 
 if not interpreter():
     pytest.skip('no rs274: run tools/get_rs274, set RS274', allow_module_level=True)
+
+sys.path.append(str(Path(__file__).parents[2] / 'benchmarks'))
+import linuxcnc_words
 
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
 #: How many motions are compared at least.
@@ -161,3 +166,34 @@ def test_a_plan_with_offsets_and_tools_is_compared(wrong, tmp_path):
     found = compare_with_text(plan, machine, program)
     assert bool(found.faults) == bool(wrong), found.faults
     assert wrong or found.motions == 3
+
+
+#: The random programs and expressions of a share; the seeds of all shares follow each other.
+PROGRAMS_OF_SHARE, EXPRESSIONS_OF_SHARE = 200, 1000
+
+
+def counted(judged, first, count):
+    """Return what came of the seeds; a difference is told with its seed."""
+    counts = Counter()
+    for seed in range(first, first + count):
+        what, *told = judged(seed)
+        assert what != linuxcnc_words.DIFFERENT, (seed, told)
+        counts[what.split(',')[0].split(':')[0]] += 1
+    return counts
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('share', range(10))
+def test_random_programs_are_read_as_linuxcnc_reads_them(share):
+    judged = linuxcnc_words.Readers().program
+    counts = counted(judged, share * PROGRAMS_OF_SHARE, PROGRAMS_OF_SHARE)
+    assert counts[linuxcnc_words.ALIKE] >= 0.9 * PROGRAMS_OF_SHARE, counts
+    assert not counts['refused by us'], counts
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('share', range(10))
+def test_random_expressions_have_the_values_of_linuxcnc(share):
+    judged = linuxcnc_words.Readers().expression
+    counts = counted(judged, share * EXPRESSIONS_OF_SHARE, EXPRESSIONS_OF_SHARE)
+    assert counts[linuxcnc_words.ALIKE] >= 0.7 * EXPRESSIONS_OF_SHARE, counts

@@ -85,7 +85,7 @@ def test_the_radius_of_the_cutter_is_not_scaled():
         ('G51.1', r'G51\.1: give the axis'),
         (
             'G51 X0 Y0 Z0 I2. J1. K1.\nG1 X9 F9\nG2 X0 I-4.5',
-            'an arc whose axes have different scales',
+            'different scales',
         ),
         ('G51.1 X0\nG68 X0 Y0 R30', 'G68: axes are mirrored or scaled'),
         ('G51.1 Z0\nG81 X1 Z-1 R2 F9', 'G81: axes are mirrored or scaled'),
@@ -113,3 +113,13 @@ def test_corner_words_of_fanuc(corner, ends):
     np.testing.assert_allclose([found[0, :2], found[-2, :2]], ends, atol=1e-9)
     np.testing.assert_allclose(found[-1, :2], [20, 30], atol=1e-9)
     np.testing.assert_allclose(tips('G1 X10 ,A45 F600\n')[0][-1], [10, 10, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('corner', 'ends'), [(',R3', [[34, 0], [40, 6]]), (',C2', [[36, 0], [40, 4]])]
+)
+def test_corners_are_scaled_with_the_path(corner, ends):
+    found = tips(f'G1 X20 Y0 {corner} F600\nY30\n', 'G51 X0 Y0 Z0 P2.')[0]
+    np.testing.assert_allclose([found[0, :2], found[-2, :2]], ends, atol=1e-9)
+    with pytest.raises(ProgramError, match='different scales'):
+        tips(f'G1 X20 Y0 {corner} F600\nY30\n', 'G51 X0 Y0 Z0 I2. J1. K1.')

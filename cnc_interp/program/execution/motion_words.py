@@ -127,7 +127,7 @@ def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
         if letter in 'STDHE':
             at.notice(letter, 'no effect, it does not move the tool')
         elif letter in 'ABCUVW':
-            raise at.fault(mover.why_not(letter), words.texts[letter], DependsOn.LEFT_OVER)
+            raise at.fault(mover.why_not(letter), letter, DependsOn.LEFT_OVER)
         elif letter == 'L' and len(values) == 1:
             why = 'is not supported; put it into this file'
             raise at.fault(f'the subprogram L{values[letter]:g} {why}', words.texts[letter])

@@ -10,7 +10,6 @@ from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.text.words import BlockWords
 
 KEYS = ('MIRROR', 'AMIRROR', 'SCALE', 'ASCALE')
-_LEAST, _MOST = 1e-3, 1e3  #: Of a scale [-].
 #: From here on a scale without a point counts thousandths; below, controls differ.
 _THOUSANDTHS = 100.0
 
@@ -52,12 +51,7 @@ def _factor(at: Execution, letter: str, words: BlockWords) -> float:
             why = f'is {value:g} on some controls, {value / 1000:g} on others; write {text}.'
             raise at.fault(why, text)
         value /= 1000.0
-    return _demand_scale(at, value, text)
-
-
-def _demand_scale(at: Execution, value: float, word: str) -> float:
-    at.demand(_LEAST <= abs(value) <= _MOST, f'a scale must be from {_LEAST:g} to {_MOST:g}', word)
-    return value
+    return at.mover.scale_of(value, text)
 
 
 def _demand_rest(at: Execution, code: str) -> None:
@@ -81,7 +75,7 @@ def scale_or_mirror_frame(at: Execution, key: str, words: BlockWords) -> None:
     for i, value in given.items():
         if key.endswith('SCALE'):
             frames.scale = frames.scale.copy()
-            frames.scale[i] *= _demand_scale(at, value, f'{"XYZ"[i]}{value:g}')
+            frames.scale[i] *= mover.scale_of(value, f'{"XYZ"[i]}{value:g}')
         elif i in frames.mirrors:
             del frames.mirrors[i]
         else:

@@ -150,10 +150,6 @@ class Frames:
         first, second = (self.turn[:, i] * np.sign(self.factor[i]) for i in (a, b))
         return np.stack([first, second, np.cross(first, second)], axis=1)
 
-    def is_round(self, a: int, b: int) -> bool:
-        """Tell whether a circle in the plane of two axes stays one."""
-        return bool(abs(self.factor[a]) == abs(self.factor[b]))
-
     def reset_scale(self) -> None:
         self.mirrors, self.scale, self.scale_centre = {}, np.ones(3), np.zeros(3)
 

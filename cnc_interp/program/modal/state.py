@@ -19,7 +19,7 @@ from cnc_interp.program.geometry.target_row import COMBINED, EXTRA_LETTERS
 from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal.modal_words import MODES, ModalValues
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.text.dialect_traits import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.text.dialect_traits import FANUC, HEIDENHAIN, LINUXCNC, PLAIN
 from cnc_interp.program.text.flow import Flow
 from cnc_interp.settings.options import Settings
 
@@ -30,6 +30,7 @@ SLOWEST = 1.0 / 60.0
 ORIENTED = 'G53.1'
 #: A larger turn of a rotary axis in one cutting block gives a notice [rad].
 LONG_WAY = 180.0 * DEG + 1e-9
+_LEAST_SCALE, _MOST_SCALE = 1e-3, 1e3  #: Of mirrored and scaled axes [-].
 #: A smaller tilt is none, where a plane is told in words [rad].
 UPRIGHT = 1e-9
 LENGTH_WITH_TCP = (
@@ -235,7 +236,15 @@ class ModalState(ModalValues):
     def demand_no_scale(self, word: str, axis: int | None = None) -> None:
         """Refuse a word whose meaning differs while axes, or this one, are mirrored or scaled."""
         if self.frames.scales and (axis is None or self.frames.factor[axis] != 1.0):
-            raise self.fault('axes are mirrored or scaled; write G50 and G50.1 before', word)
+            ends = 'G50 and G50.1'
+            if self.dialect is HEIDENHAIN:
+                ends = 'CYCL DEF 8.1 without axes, 11.1 SCL 1, or 26.1 with factors of 1'
+            raise self.fault(f'axes are mirrored or scaled; write {ends} before', word)
+
+    def scale_of(self, value: float, word: str) -> float:
+        text = f'a scale must be from {_LEAST_SCALE:g} to {_MOST_SCALE:g}'
+        self.demand(_LEAST_SCALE <= abs(value) <= _MOST_SCALE, text, word)
+        return value
 
     @property
     def by_axes(self) -> bool:

@@ -1,6 +1,7 @@
 """The targets of single blocks, from their words and the modal state."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import inf, nan, pi
 
 import numpy as np
@@ -230,7 +231,7 @@ class Mover(ModalState):
             if letter in words.values and letter not in self.rotary_letters:
                 axes = ' '.join(self.geometry.machine.axis_names)
                 text = f'the machine has no axis {letter}, only {axes}'
-                raise self.fault(text, words.texts[letter], DependsOn.LINE)
+                raise self.fault(text, letter, DependsOn.LINE)
         letters = ('X', 'Y', 'Z', *self.rotary_letters, *self.extra_letters)
         return any(letter in words.values for letter in letters)
 
@@ -392,11 +393,18 @@ class Mover(ModalState):
         corner, self.corner = self.corner, self.corner if self.corner.modal else NO_CORNER
         if corner.size and not rapid and arc is NO_ARC and not self.targets.empty:
             fault, changed = self.flow.fault('', corner.kind), self.targets.changed
+            corner = replace(corner, size=corner.size * self._scale_in_plane(self.plane))
             self.held = corner, fault, before, row, changed
         elif corner.size and not corner.modal:
             raise self.fault('belongs at the end of a G1 line', corner.kind)
         else:
             self.targets.add(row)
+
+    def _scale_in_plane(self, plane: str) -> float:
+        first, second = (abs(float(self.frames.factor[i])) for i in PLANES[plane][:2])
+        why = 'an arc or corner whose axes have different scales; post it as lines'
+        self.demand(first == second, why)
+        return first
 
     def tolerances(self) -> tuple[float, float]:
         """Return the tolerances of a target [m], which those of a turning tool length share."""
@@ -495,11 +503,7 @@ class Mover(ModalState):
                 'changes evenly',
             )
         centre = self.frames.point(arcs.centre[0])
-        self.demand(
-            self.frames.is_round(*PLANES[plane][:2]),
-            'an arc whose axes have different scales; post it as lines',
-            'G51',
-        )
+        self._scale_in_plane(plane)
         normal = self.frames.plane(*PLANES[plane][:2])[:, 2]
         return (*centre, *normal, float(arcs.sweep[0]))
 

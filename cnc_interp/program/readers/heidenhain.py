@@ -27,7 +27,7 @@ _HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
 _VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'
 _WORD = re.compile(
     rf'(?P<code>M\d+)\b\.?|(?P<max>FMAX|F\s+MAX|F?AUTO|MB\s*MAX)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
-    rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|ROT|DL|DR2?|MB|LA|F|R|S)'
+    rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|I?ROT|DL|DR2?|MB|LA|F|R|S)'
     rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>[MF])(?=\s|$)|(?P<space>\s+)'
 )
 _TOOL_CALL = re.compile(r'TOOL\s+CALL\s*(?:("[^"]*")|(\d+))?\s*([XYZ])?\s*(.*)')
@@ -35,6 +35,7 @@ _LABEL = re.compile(r'LBL\s*(\d+|"[^"]+"|[A-Z]\w*)')
 _CALL = re.compile(r'CALL\s+LBL\s*(\d+|"[^"]+"|[A-Z]\w*)\s*(?:REP\s*(\d+)\s*(?:/\s*\d+)?)?')
 _CALL_FILE = re.compile(r'CALL\s+PGM\s+(?:\S*[\\/])?([\w-]+?)(?:\.H)?')
 _CYCLE = re.compile(r'CYCLE?\s+DEF\s*(\d+)(?:\.(\d+))?\s*(.*)')
+_SCALES = re.compile(rf'(SCL|(?:CC)?[XYZ])\s*=?\s*({_VALUE})?')
 _FN = re.compile(r'FN\s*(\d+)\s*:\s*(.*)')
 _JUMP = re.compile(rf'IF\s*({_VALUE})\s*([A-Z]+)\s*({_VALUE})\s*GOTO\s*LBL\s*(\d+|"[^"]+"|\w+)')
 _CORNER = re.compile(rf'(RND|CHF)\s*R?\s*({_VALUE})\s*(?:F.*)?')
@@ -83,7 +84,13 @@ _AS_CODES = {
     'M13': ['M3', 'M8'],
     'M14': ['M4', 'M8'],
 }
-_REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M144', 'M150'}
+_REFUSED_M = {
+    **dict.fromkeys(
+        ('M112', 'M114', 'M118', 'M130', 'M144', 'M150'),
+        'this M code is not supported; post without it',
+    ),
+    'M92': 'counts from a point that the machine builder has set; post with M91',
+}
 #: Where the tool of cycle 204 moves aside, by Q214; a smaller circle is none [m].
 _SIDES, _SAME = {1.0: (-1, 0), 2.0: (0, -1), 3.0: (1, 0), 4.0: (0, 1)}, 1e-9
 #: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
@@ -122,11 +129,9 @@ class HeidenhainReader(ProgramReader):
         match = _HEAD.fullmatch(_DECIMAL_COMMA.sub('.', text))
         line = match[1] if match else ''
         numbered = bool(re.match(r'\s*/?\s*\d', raw))
-        if self.in_comment and not numbered:
-            self.in_comment = raw.rstrip().endswith('~')
-            return
-        if not line:
-            self.in_comment = raw.rstrip().endswith('~')  # a comment goes on in the next line
+        goes_on = raw.rstrip().endswith('~')  # a comment, or a cycle, in the next line
+        if not line or (self.in_comment and not numbered):
+            self.in_comment = goes_on
             return
         try:
             if self.defining and not numbered and self._assign(line):
@@ -143,6 +148,8 @@ class HeidenhainReader(ProgramReader):
                 )
         except ExpressionError as problem:
             raise self.fault(str(problem), line[:20]) from None
+        finally:
+            self.in_comment = goes_on and numbered and ';' in raw and not self.defining
 
     def _value(self, text: str) -> float:
         return formula(text, self.variables)
@@ -335,7 +342,7 @@ class HeidenhainReader(ProgramReader):
         for code in words.m[:]:
             self.demand(
                 code not in _REFUSED_M,
-                'this M code is not supported; post without it',
+                _REFUSED_M.get(code, ''),
                 code,
                 DependsOn.LINE,
             )
@@ -461,38 +468,49 @@ class HeidenhainReader(ProgramReader):
             self.variables.set_name(name, size / unit)
 
     def _define_cycle(self, match: re.Match[str]) -> None:
-        frames, number, part, rest = self._frames, int(match[1]), match[2], match[3]
-        acts = {7: frames.shift, 10: frames.rotate, 19: frames.add_angles}
-        if number in acts and part == '0':
+        number, part, rest = int(match[1]), match[2], match[3]
+        define = self._CYCLES.get(number)
+        if define is None or (number in self._OF_PARTS and not part):
+            why = 'this cycle is not supported; post it as L and C'
+            raise self.fault(why, f'CYCL DEF {number}', DependsOn.LINE)
+        define(self, number, part, rest)
+
+    def _define_frame(self, number: int, part: str, rest: str) -> None:
+        frames = self._frames
+        if part == '0':
             frames.angles = {}
-        elif number in acts and part:
-            acts[number](self._words(rest)[0])
-        elif number in (8, 11, 26) and part:
-            self.demand(
-                not re.search(r'[1-9XYZ]', rest),
-                'mirroring and scaling are not supported',
-                f'CYCL DEF {number}',
-                DependsOn.LINE,
-            )
-        elif number == 9 or number in (32, 13, 12):
-            if number == 9 and part != '0':
-                self.mover.targets.stop_here()
-                found = re.search(r'([\d.]+)\s*$', rest)
-                self.at.rest_for('CYCL DEF 9', self._number(found[1]) if found else 0.0)
-            elif number == 32 and (told := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
-                tolerances(self.at, 'CYCL DEF 32', self._number(told[1]) or None, None)
-        elif number in _SETTING:
+            return
+        act = {7: frames.shift, 10: frames.rotate, 19: frames.add_angles}[number]
+        act(self._words(rest)[0])
+
+    def _define_scale(self, number: int, part: str, rest: str) -> None:
+        if part == '0':
+            return
+        words = _SCALES.findall(rest)
+        left = _SCALES.sub('', rest).strip()
+        self.demand(not left, 'this word is not supported here', left, DependsOn.LINE)
+        frames = self._frames
+        act = {8: frames.mirror, 11: frames.scale_all, 26: frames.scale_axes}[number]
+        act({name: self._value(value or '0') for name, value in words})
+
+    def _define_dwell(self, _: int, part: str | None, rest: str) -> None:
+        if part != '0':
+            self.mover.targets.stop_here()
+            found = re.search(r'([\d.]+)\s*$', rest)
+            self.at.rest_for('CYCL DEF 9', self._number(found[1]) if found else 0.0)
+
+    def _define_tolerance(self, _: int, __: str | None, rest: str) -> None:
+        if told := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest):
+            tolerances(self.at, 'CYCL DEF 32', self._number(told[1]) or None, None)
+
+    def _define_setting(self, number: int, *_: object) -> None:
+        if number in _SETTING:
             self.defining = True
             self.notice(f'CYCL DEF {number}', _SETTING[number])
-        elif number in (1, 2, 240) or 200 <= number <= 208:
-            self.cycle, self.defining = number, number >= 200
-            self._old_cycle(part, rest)
-        else:
-            raise self.fault(
-                'this cycle is not supported; post it as L and C',
-                f'CYCL DEF {number}',
-                DependsOn.LINE,
-            )
+
+    def _define_hole(self, number: int, part: str | None, rest: str) -> None:
+        self.cycle, self.defining = number, number >= 200
+        self._old_cycle(part, rest)
 
     def _old_cycle(self, part: str | None, rest: str) -> None:
         names = {'SET UP': 'Q200', 'DEPTH': 'Q201', 'PECKG': 'Q202', 'DWELL': 'Q211', 'F': 'Q206'}
@@ -506,6 +524,8 @@ class HeidenhainReader(ProgramReader):
     def _drill(self) -> None:
         mover, unit, axis = self.mover, self.mover.unit, PLANES[self.mover.plane][2]
         self.demand(self.cycle, 'no cycle is defined; write CYCL DEF', 'CYCL CALL')
+        if mover.frames.factor[axis] < 0.0 or self.cycle in (204, 208):
+            mover.demand_no_scale(f'CYCL DEF {self.cycle}')
 
         def of(name: str) -> float:
             return self.variables.named(name) if self.variables.exists(name) else 0.0
@@ -637,6 +657,16 @@ class HeidenhainReader(ProgramReader):
         for letter, angle in zip(self.mover.rotary_letters, self._frames.found, strict=False):
             self.variables.set_name(f'Q12{"ABC".index(letter)}', angle / DEG)
 
+    #: What defines each cycle; those of older controls have a line for each of their parts.
+    _OF_PARTS: ClassVar = {7, 8, 10, 11, 19, 26}
+    _CYCLES: ClassVar[dict[int, Callable[..., None]]] = {
+        **dict.fromkeys((7, 10, 19), _define_frame),
+        **dict.fromkeys((8, 11, 26), _define_scale),
+        **dict.fromkeys((12, 13, *_SETTING), _define_setting),
+        **dict.fromkeys((1, 2, 240, *range(200, 209)), _define_hole),
+        9: _define_dwell,
+        32: _define_tolerance,
+    }
     #: What lines of each form do: those that change the order of lines, and all others.
     _FLOW: ClassVar[tuple[_Form, ...]] = (
         (_LABEL, _pass_label),

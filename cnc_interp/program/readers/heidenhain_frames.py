@@ -1,4 +1,7 @@
-"""Frames of Heidenhain, each in the one before: datum shift (cycle 7), planes, rotation (10)."""
+"""Frames of Heidenhain, each in the one before: datum shift (cycle 7), planes, rotation (10).
+
+Mirroring (8) and scaling (11, 26) are about the zero of these frames, and the innermost ones.
+"""
 
 from collections.abc import Mapping, Set
 from functools import reduce
@@ -38,14 +41,61 @@ class HeidenhainFrames:
             raise self._fault(
                 'a datum shift in a tilted plane; write PLANE RESET before', 'CYCL DEF 7'
             )
+        if any(values.values()):
+            self._mover.demand_no_scale('CYCL DEF 7')
         for name, value in values.items():
             before = self._shift.get(name[1:], 0.0) if name[0] == 'I' else 0.0
             self._shift[name.removeprefix('I')] = before + value
         self._frame()
 
     def rotate(self, values: Mapping[str, float]) -> None:
-        self._angle = values.get('ROT', self._angle)
+        factor = self._mover.frames.factor
+        if np.ptp(factor) or (factor < 0.0).any():  # another rotation if it came before
+            self._mover.demand_no_scale('CYCL DEF 10')
+        self._angle = values.get('ROT', self._angle) + values.get('IROT', 0.0)
         self._frame()
+
+    def mirror(self, values: Mapping[str, float]) -> None:
+        """Process cycle 8: mirror these axes and no others."""
+        frames = self._mover.frames
+        mirrors = {'XYZ'.index(letter): 0.0 for letter in values}
+        self._set_scale('CYCL DEF 8', mirrors, frames.scale, frames.scale_centre)
+
+    def scale_all(self, values: Mapping[str, float]) -> None:
+        """Process cycle 11, which ends the scales of cycle 26."""
+        scale = self._mover.scale_of(values.get('SCL', 1.0), 'SCL')
+        self._set_scale('CYCL DEF 11', None, np.full(3, scale), np.zeros(3))
+
+    def scale_axes(self, values: Mapping[str, float]) -> None:
+        """Process cycle 26: scales of some axes, about CCX, CCY and CCZ."""
+        frames, unit = self._mover.frames, self._mover.unit
+        scale, centre = frames.scale.copy(), frames.scale_centre.copy()
+        for i, letter in enumerate('XYZ'):
+            scale[i] = self._mover.scale_of(values.get(letter, scale[i]), letter)
+            centre[i] = values.get(f'CC{letter}', centre[i] / unit) * unit * (scale[i] != 1.0)
+        self._set_scale('CYCL DEF 26', None, scale, centre)
+
+    def _set_scale(
+        self,
+        cycle: str,
+        mirrors: dict[int, float] | None,
+        scale: FloatArray,
+        centre: FloatArray,
+    ) -> None:
+        frames, mover = self._mover.frames, self._mover
+        mirrors = frames.mirrors if mirrors is None else mirrors
+        if not (frames.scales or mirrors or (scale != 1.0).any()):
+            return
+        tilted = mover.tcp or mover.oriented or self._turn is not None
+        self._demand(
+            not tilted, 'with tool-tip programming or a tilted plane; post the path itself', cycle
+        )
+        self._demand(
+            not (mirrors and centre.any()), 'a mirrored axis and the centre of a scale', cycle
+        )
+        mover.end_corner()
+        frames.mirrors, frames.scale, frames.scale_centre = mirrors, scale, centre
+        frames.update()
 
     def add_angles(self, values: Mapping[str, float]) -> None:
         self.angles |= values
@@ -63,6 +113,7 @@ class HeidenhainFrames:
             self._mover.set_oriented(False)
             self._frame()
             return
+        self._mover.demand_no_scale('CYCL DEF 19')
         self._turn = turn
         self._frame()
         self._position('STAY', 0)
@@ -79,6 +130,7 @@ class HeidenhainFrames:
                 self._position(way or 'MOVE', 0)
                 self._mover.set_oriented(False)
             return
+        self._mover.demand_no_scale(f'PLANE {kind}')
         self._turn = self._plane_of(kind, values)
         self._frame()
         self._position(way, choice, table)

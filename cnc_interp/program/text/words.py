@@ -144,6 +144,8 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
             _add(words, letter or 'T', float(token['number'] or 0.0), token[0], fault)
         elif token['name']:
             words.sets.append((token['name'], float(token['value'])))
+        elif key in expressions.OPERATORS:
+            return _by_grammar(line, variables, fault)
         elif key:
             words.keys.append((re.sub(r'\s+', ' ', key).replace('# ', '#'), ()))
     return words

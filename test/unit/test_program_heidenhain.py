@@ -187,7 +187,7 @@ PART = (
     ],
 )
 def test_cycles_8_11_and_26_mirror_and_scale_places_arcs_and_corners(head, factor, moved):
-    """Every point of the lines and arcs is that of the part, mirrored or scaled about the datum."""
+    """All points of lines and arcs are those of the part, mirrored or scaled about the datum."""
     plain, found = read(PART).blocks, read(f'{head}|{PART}').blocks
     first = np.flatnonzero(np.diff(plain.line_number, append=0))
     last = np.flatnonzero(np.diff(found.line_number, append=0))

@@ -27,7 +27,12 @@ Position = Mapping[str, float]
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
 #: What a setup file keeps of a tool: sizes [mm], the pocket, and a text.
 TOOL_SIZES = ('length', 'radius', 'corner_radius', 'length_wear', 'radius_wear')
-_TOOL_KEYS = {*TOOL_SIZES, 'pocket', 'remark', 'holder'}
+_TOOL_KINDS = {
+    'pocket': (int, 'a whole number'),
+    'remark': (str, 'a text'),
+    'holder': (str, 'the name of a holder'),
+}
+_TOOL_KEYS = {*TOOL_SIZES, *_TOOL_KINDS}
 _DIGITS = 9  #: Digits after the point in setup files [mm, deg].
 
 
@@ -210,20 +215,24 @@ class _Reading:
     def fault(self, message: str) -> ProgramError:
         return ProgramError(message, self._source)
 
+    def demand(self, holds: bool, message: str) -> None:
+        if not holds:
+            raise self.fault(message)
+
     def setup(self, content: Any) -> JobSetup:
         whole = self._mapping(content, 'the file')
         for key in whole:
-            if key not in self.KEYS:
-                raise self.fault(f'{key}: unknown; known: {", ".join(self.KEYS)}')
+            self.demand(key in self.KEYS, f'{key}: unknown; known: {", ".join(self.KEYS)}')
         offsets, tools, references = (
             self._mapping(whole.get(key) or {}, key)
             for key in ('work_offsets', 'tools', 'reference_points')
         )
         active, g92_on = whole.get('active', ''), whole.get('g92_on', bool(whole.get('g92')))
-        if active not in ('', *ALL_OFFSETS):
-            raise self.fault(f'active: must be one of {", ".join(WORK_OFFSETS)}, not {active!r}')
-        if not isinstance(g92_on, bool):
-            raise self.fault(f'g92_on: must be true or false, not {g92_on!r}')
+        self.demand(
+            active in ('', *ALL_OFFSETS),
+            f'active: must be one of {", ".join(WORK_OFFSETS)}, not {active!r}',
+        )
+        self.demand(isinstance(g92_on, bool), f'g92_on: must be true or false, not {g92_on!r}')
         return JobSetup(
             {k: self._position(offsets[k], k, ALL_OFFSETS) for k in offsets},
             {self._number_of(k, 'tools'): self._tool(tools[k], k) for k in tools},
@@ -235,13 +244,14 @@ class _Reading:
         )
 
     def _mapping(self, content: Any, what: str) -> dict[Any, Any]:
-        if not isinstance(content, dict):
-            raise self.fault(f'{what}: must be a mapping; give keys with values')
+        self.demand(isinstance(content, dict), f'{what}: must be a mapping; give keys with values')
         return content
 
     def _number(self, value: Any, key: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-            raise self.fault(f'{key}: must be a number, not {value!r}')
+        self.demand(
+            type(value) in (int, float) and isfinite(value),
+            f'{key}: must be a number, not {value!r}',
+        )
         return float(value)
 
     def _position(self, content: Any, name: Any, known: tuple[str, ...]) -> dict[str, float]:
@@ -251,37 +261,34 @@ class _Reading:
         words = self._mapping(content, str(name))
         letters = [*LETTERS, ROTATION] if known is ALL_OFFSETS else list(LETTERS)
         for letter in words:
-            if letter not in letters:
-                raise self.fault(f'{name}.{letter}: unknown axis; known: {" ".join(letters)}')
+            self.demand(
+                letter in letters, f'{name}.{letter}: unknown axis; known: {" ".join(letters)}'
+            )
         return {
             letter: self._number(value, f'{name}.{letter}') * (MM if letter in 'XYZ' else DEG)
             for letter, value in words.items()
         }
 
     def _number_of(self, key: Any, what: str) -> int:
-        if isinstance(key, bool) or not isinstance(key, int):
-            raise self.fault(f'{what}.{key}: the tool number must be a whole number')
+        self.demand(
+            type(key) is int,
+            f'{what}.{key}: the tool number must be a whole number',
+        )
         return key
 
     def _tool(self, content: Any, key: Any) -> Tool:
         words = dict(self._mapping(content, f'tools.{key}'))
-        if 'length' not in words or not set(words) <= _TOOL_KEYS:
-            raise self.fault(
-                f'tools.{key}: must have a length, perhaps a radius, a corner_radius and a '
-                'remark, as {length: 75.0, radius: 5.0, remark: ball}, and may have length_wear, '
-                'radius_wear, pocket and holder'
-            )
-        remark = words.pop('remark', '')
-        if not isinstance(remark, str):
-            raise self.fault(f'tools.{key}.remark: must be a text')
-        holder = words.pop('holder', '')
-        if not isinstance(holder, str):
-            raise self.fault(f'tools.{key}.holder: must be the name of a holder')
-        pocket = words.pop('pocket', 0)
-        if not isinstance(pocket, int) or isinstance(pocket, bool):
-            raise self.fault(f'tools.{key}.pocket: must be a whole number')
+        self.demand(
+            'length' in words and words.keys() <= _TOOL_KEYS,
+            f'tools.{key}: must have a length, perhaps a radius, a corner_radius and a '
+            'remark, as {length: 75.0, radius: 5.0, remark: ball}, and may have length_wear, '
+            'radius_wear, pocket and holder',
+        )
+        others = {name: words.pop(name) for name in _TOOL_KINDS if name in words}
+        for name, value in others.items():
+            kind, what = _TOOL_KINDS[name]
+            self.demand(type(value) is kind, f'tools.{key}.{name}: must be {what}')
         found = {name: self._number(words[name], f'tools.{key}.{name}') * MM for name in words}
-        tool = Tool(remark=remark, pocket=pocket, holder=holder, **found)
-        if tool.fault:
-            raise self.fault(f'tools.{key}: {tool.fault}')
+        tool = Tool(**others, **found)
+        self.demand(not tool.fault, f'tools.{key}: {tool.fault}')
         return tool

@@ -70,8 +70,7 @@ def _set_name(at: Execution, name: str, value: float, others: bool) -> None:
             at.notice(name, 'no effect, it does not move the tool')
             return
         at.demand(not re.fullmatch(r'[A-QS-Z]\d+', name), codes.NO_SUCH_AXIS, name, DependsOn.LINE)
-        if others and not re.fullmatch(r'R\d+', name):
-            raise at.fault(codes.UNKNOWN_NAME, name)
+        at.refuse_if(others and not re.fullmatch(r'R\d+', name), codes.UNKNOWN_NAME, name)
     at.variables.set_name(name, value)
 
 

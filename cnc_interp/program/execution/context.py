@@ -53,6 +53,7 @@ class Execution:
         self.mover.motion = dialect.starts_with
         self.mover.centres_open &= dialect is not LINUXCNC
         self.fault, self.demand = self.flow.fault, self.flow.demand
+        self.refuse_if = self.flow.refuse_if
         self.notice = self.mover.notice
         self.splines = Splines(self.mover)
         self.plane = TiltedPlane(self.mover)

@@ -17,8 +17,7 @@ def choose_tool(at: Execution, words: BlockWords) -> None:
     """Take the tool of T, which M6 changes to, or of M61 Q."""
     values = words.values
     changes = 'M6' in words.m or 'M61' in words.m
-    if 'M61' in words.m and 'Q' not in values:
-        raise at.fault('give the number of the tool as Q', 'M61')
+    at.refuse_if('M61' in words.m and 'Q' not in values, 'give the number of the tool as Q', 'M61')
     tool = values.pop('Q') if 'M61' in words.m else values.get('T')
     if tool is not None:
         at.chosen_tool = round(min(abs(tool), 1e6))
@@ -41,8 +40,11 @@ def set_speed(at: Execution, words: BlockWords) -> None:
         mover.surface_limit = abs(words.values.pop('D', 0.0))
         if speed is None:
             raise at.fault('needs S, the speed of the surface', 'G96')
-        if mover.tcp or (mover.rotary_letters and mover.rotary.any()):
-            raise at.fault('the rotary axes must be at 0, without tool-tip programming', 'G96')
+        at.refuse_if(
+            mover.tcp or (mover.rotary_letters and mover.rotary.any()),
+            'the rotary axes must be at 0, without tool-tip programming',
+            'G96',
+        )
     if by_surface and speed is not None:
         mover.surface_speed = speed * (1.0 if mover.unit == MM else 0.3048)
     elif speed is not None:

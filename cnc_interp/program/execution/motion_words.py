@@ -45,8 +45,11 @@ def tilt(at: Execution, code: str, words: BlockWords) -> None:
 def thread(at: Execution, code: str, words: BlockWords) -> None:
     """Process G33, G33.1 which comes back, and G32 of Fanuc: K or F is the way per turn."""
     mover, letter = at.mover, 'F' if code == 'G32' else 'K'
-    if code == 'G32' and mover.dialect not in (FANUC, PLAIN):
-        raise at.fault('a thread of Fanuc; write G33 with K', code)
+    at.refuse_if(
+        code == 'G32' and mover.dialect not in (FANUC, PLAIN),
+        'a thread of Fanuc; write G33 with K',
+        code,
+    )
     at.demand(
         mover.follows,
         'the spindle has no encoder; name the input spindle_angle in the machine file',
@@ -70,8 +73,11 @@ def thread(at: Execution, code: str, words: BlockWords) -> None:
 def probe(at: Execution, code: str, words: BlockWords) -> None:
     """Process G38.2 to G38.5 and G31: move from rest to rest, while the probe is watched."""
     mover = at.mover
-    if at.targets.start.line and not at.targets.start.passes:
-        raise at.fault('the line of the start comes after a probe; start at the top', code)
+    at.refuse_if(
+        at.targets.start.line and not at.targets.start.passes,
+        'the line of the start comes after a probe; start at the top',
+        code,
+    )
     point = probing.target_of(code, words, mover, at.signals)
     mover.end_corner()
     at.splines.stop_here()
@@ -106,8 +112,11 @@ def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
     mover, values = at.mover, words.values
     machine = 'G53' in words.g and not {'G28', 'G30'} & set(words.g)
     axes = not values.keys().isdisjoint(mover.frames.letters)
-    if machine and axes and mover.incremental and mover.dialect is not SIEMENS:
-        raise at.fault('with G91 Fanuc leaves it out, LinuxCNC refuses it; write G90', 'G53')
+    at.refuse_if(
+        machine and axes and mover.incremental and mover.dialect is not SIEMENS,
+        'with G91 Fanuc leaves it out, LinuxCNC refuses it; write G90',
+        'G53',
+    )
     if at.cycle is not None and axes:
         at.demand(not machine, 'machine coordinates in a canned cycle; write G80 before', 'G53')
         at.cycle.drill(mover, words, feed_given)

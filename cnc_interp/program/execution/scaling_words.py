@@ -18,8 +18,10 @@ def scale_or_mirror(at: Execution, code: str, words: BlockWords) -> None:
     mover, frames = at.mover, at.mover.frames
     given = {i: value * mover.unit for i, value in words.take('XYZ').items()}
     if code == 'G50' and given:
-        why = 'with axis words it presets coordinates on lathes; write G50 alone, or G92'
-        raise at.fault(why, f'G50 {words.texts["XYZ"[min(given)]]}')
+        raise at.fault(
+            'with axis words it presets coordinates on lathes; write G50 alone, or G92',
+            f'G50 {words.texts["XYZ"[min(given)]]}',
+        )
     if code in ('G50', 'G50.1') and not frames.scales:
         at.notice(code, 'nothing to switch off')
         return
@@ -48,8 +50,9 @@ def _factor(at: Execution, letter: str, words: BlockWords) -> float:
     value, text = words.values.pop(letter), words.texts[letter]
     if '.' not in text:
         if abs(value) < _THOUSANDTHS:
-            why = f'is {value:g} on some controls, {value / 1000:g} on others; write {text}.'
-            raise at.fault(why, text)
+            raise at.fault(
+                f'is {value:g} on some controls, {value / 1000:g} on others; write {text}.', text
+            )
         value /= 1000.0
     return at.mover.scale_of(value, text)
 
@@ -57,8 +60,11 @@ def _factor(at: Execution, letter: str, words: BlockWords) -> float:
 def _demand_rest(at: Execution, code: str) -> None:
     """Refuse what controls mirror and scale in different ways."""
     mover = at.mover
-    if mover.tcp or mover.oriented or at.plane.parts:
-        raise at.fault('with tool-tip programming or a tilted plane; post the path itself', code)
+    at.refuse_if(
+        mover.tcp or mover.oriented or at.plane.parts,
+        'with tool-tip programming or a tilted plane; post the path itself',
+        code,
+    )
     at.demand(at.cycle is None, 'a canned cycle is on; write G80 before', code)
     at.splines.end()
     mover.end_corner()

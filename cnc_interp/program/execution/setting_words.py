@@ -39,15 +39,22 @@ def look_ahead(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def refuse(at: Execution, code: str, _: BlockWords) -> None:
-    unknown = 'this G code is not supported; post without it'
-    raise at.fault(codes.REFUSED_G.get(code, unknown), code, DependsOn.LINE)
+    raise at.fault(
+        codes.REFUSED_G.get(code, 'this G code is not supported; post without it'),
+        code,
+        DependsOn.LINE,
+    )
 
 
 def refuse_lathe(at: Execution, code: str, words: BlockWords) -> None:
     values = words.values
     contour = {'P', 'Q'} <= values.keys() and 'Z' not in values
-    if contour or ('U' in values and 'U' not in at.mover.extra_letters):
-        raise at.fault('a cycle of a lathe; lathe programs are not read', code, DependsOn.LINE)
+    at.refuse_if(
+        contour or ('U' in values and 'U' not in at.mover.extra_letters),
+        'a cycle of a lathe; lathe programs are not read',
+        code,
+        DependsOn.LINE,
+    )
 
 
 def begin_cycle(at: Execution, code: str, _: BlockWords) -> None:
@@ -82,8 +89,11 @@ def no_effect(at: Execution, code: str, words: BlockWords) -> None:
     letters, why = codes.OTHER_MEANING.get(code, ('', ''))
     if found := set(letters) & words.values.keys():
         raise at.fault(why, f'{code} {words.texts[min(found)]}')
-    if code == 'G54.2' and words.values.get('P'):
-        raise at.fault('a dynamic offset is not supported; write G54.2 P0', code)
+    at.refuse_if(
+        code == 'G54.2' and words.values.get('P'),
+        'a dynamic offset is not supported; write G54.2 P0',
+        code,
+    )
     if code == 'G15' and mover.polar:
         mover.polar = False
         return
@@ -96,8 +106,7 @@ def no_effect(at: Execution, code: str, words: BlockWords) -> None:
 
 def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
     mover = at.mover
-    if not at.whole and code != 'G40':
-        raise at.fault('looks ahead; run it in a program', code)
+    at.refuse_if(not at.whole and code != 'G40', 'looks ahead; run it in a program', code)
     if code == 'G40':
         if not mover.radius_code:
             at.notice(code, 'nothing to switch off')

@@ -17,8 +17,12 @@ MOST_ANGLE = 3600.0  #: Largest rotation of a work offset [deg].
 
 
 def choose_work_offset(at: Execution, code: str, words: BlockWords) -> None:
-    if 'H' in words.values and not codes.LENGTH_CODES & set(words.g):
-        raise at.fault(codes.OKUMA_LENGTH, code, DependsOn.LINE)
+    at.refuse_if(
+        'H' in words.values and not codes.LENGTH_CODES & set(words.g),
+        codes.OKUMA_LENGTH,
+        code,
+        DependsOn.LINE,
+    )
     choose_offset(at, code)
 
 
@@ -63,8 +67,7 @@ def tool_length(at: Execution, code: str, words: BlockWords) -> None:
         length = words.values.pop('Z', 0.0) * mover.unit
     elif code in ('G43', 'G44') or (code in codes.TCP_ON and named is not None):
         if number and number not in tools:
-            if at.is_live or tools:
-                raise at.fault(codes.NO_LENGTH, f'H{number}')
+            at.refuse_if(at.is_live or tools, codes.NO_LENGTH, f'H{number}')
             at.notice(code, codes.NO_LENGTHS)
         if number in tools:
             mover.used.add(f'tool {number}')
@@ -89,8 +92,7 @@ def cutter_of(at: Execution, words: BlockWords) -> Tool:
     number = at.tool if named is None else round(min(abs(named), 1e6))
     tools = at.mover.setup.tools
     if number and number not in tools:
-        why = 'the setup has no radius of this tool; add it (--setup)'
-        raise at.fault(why, f'D{number}')
+        raise at.fault('the setup has no radius of this tool; add it (--setup)', f'D{number}')
     at.mover.used.add(f'tool {number}')
     return tools[number].worn if number else Tool()
 
@@ -140,8 +142,9 @@ def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> N
         f'G10 L{kind} needs P with a tool number, 1 to {MOST_TOOL}',
         'G10',
     )
-    if mover.tcp and kind != 1:
-        raise at.fault('a tool is measured with tool-tip programming off', f'G10 L{kind}')
+    at.refuse_if(
+        mover.tcp and kind != 1, 'a tool is measured with tool-tip programming off', f'G10 L{kind}'
+    )
     tool = mover.setup.tools.get(int(number), Tool())
     length, radius = tool.length, tool.radius
     if 'R' in values:
@@ -166,8 +169,7 @@ def _offset_words(at: Execution, words: BlockWords) -> dict[int, float]:
     found, letters = {}, at.mover.frames.letters
     for i, value in words.take(letters).items():
         found[i] = value * (at.mover.unit if i < 3 else DEG)
-        far = 'an offset beyond 100,000 mm; correct it'
-        at.demand(abs(found[i]) <= FARTHEST, far, letters[i])
+        at.demand(abs(found[i]) <= FARTHEST, 'an offset beyond 100,000 mm; correct it', letters[i])
     return found
 
 

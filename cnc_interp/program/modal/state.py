@@ -103,7 +103,7 @@ class ModalState(ModalValues):
         super().__init__()
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
-        self.fault, self.demand = flow.fault, flow.demand
+        self.fault, self.demand, self.refuse_if = flow.fault, flow.demand, flow.refuse_if
         self.targets = TargetColumns(geometry, settings, flow.main.name)
         self.probed: dict[int, float] = {}  # variables of the last probe
         self.extra_letters = tuple(geometry.machine.extra_names)
@@ -242,8 +242,11 @@ class ModalState(ModalValues):
             raise self.fault(f'axes are mirrored or scaled; write {ends} before', word)
 
     def scale_of(self, value: float, word: str) -> float:
-        text = f'a scale must be from {_LEAST_SCALE:g} to {_MOST_SCALE:g}'
-        self.demand(_LEAST_SCALE <= abs(value) <= _MOST_SCALE, text, word)
+        self.demand(
+            _LEAST_SCALE <= abs(value) <= _MOST_SCALE,
+            f'a scale must be from {_LEAST_SCALE:g} to {_MOST_SCALE:g}',
+            word,
+        )
         return value
 
     @property
@@ -307,8 +310,11 @@ class ModalState(ModalValues):
         self.aim()
 
     def check_length(self, word: str) -> None:
-        if self.frames.length and (self.dialect is LINUXCNC or word == 'M428'):
-            raise self.fault(LENGTH_WITH_TCP, word)
+        self.refuse_if(
+            self.frames.length and (self.dialect is LINUXCNC or word == 'M428'),
+            LENGTH_WITH_TCP,
+            word,
+        )
         if self.frames.length:
             self.notice(
                 'WARNING: a tool length with tool-tip programming',
@@ -371,8 +377,9 @@ class ModalState(ModalValues):
                 'G95',
             )
             if not self.spindle_speed > 0.0:
-                why = 'feed per revolution (G95) without a spindle speed; write S first'
-                raise self.fault(why, 'G95')
+                raise self.fault(
+                    'feed per revolution (G95) without a spindle speed; write S first', 'G95'
+                )
             return self.feedrate * self.spindle_speed, nan, self.turn_rate * self.spindle_speed
         if self.blocks_per_minute is None:
             raise self.fault('no F in inverse-time feed (G93); give F in 1/min in each G1 block')

@@ -179,22 +179,28 @@ class CannedCycle:
         words.take(('X', 'Y', 'Z', *mover.rotary_letters))
 
     def _refuse(self, mover: Mover, words: BlockWords) -> None:
-        if mover.by_axes and mover.rotary.any() and mover.frames.rotated:
-            raise mover.fault('a cycle in a rotated frame without tool-tip programming', self.code)
+        mover.refuse_if(
+            mover.by_axes and mover.rotary.any() and mover.frames.rotated,
+            'a cycle in a rotated frame without tool-tip programming',
+            self.code,
+        )
         turns = not words.values.keys().isdisjoint(mover.rotary_letters)
-        if turns and not mover.dialect.turns_in_cycles:
-            raise mover.fault(
-                'LinuxCNC takes no rotary words in a canned cycle; turn in a block '
-                'before, or choose --dialect fanuc',
-                self.code,
-            )
-        if self.code in ('G87', 'G88') and mover.dialect is LINUXCNC:
-            raise mover.fault('LinuxCNC has none; post it as G0 and G1 moves', self.code)
-        if self.code in TAPPING and mover.dialect is LINUXCNC and mover.plane != 'G17':
-            raise mover.fault(
-                'LinuxCNC taps along the wrong axis here; tap in G17, or choose --dialect fanuc',
-                self.code,
-            )
+        mover.refuse_if(
+            turns and not mover.dialect.turns_in_cycles,
+            'LinuxCNC takes no rotary words in a canned cycle; turn in a block '
+            'before, or choose --dialect fanuc',
+            self.code,
+        )
+        mover.refuse_if(
+            self.code in ('G87', 'G88') and mover.dialect is LINUXCNC,
+            'LinuxCNC has none; post it as G0 and G1 moves',
+            self.code,
+        )
+        mover.refuse_if(
+            self.code in TAPPING and mover.dialect is LINUXCNC and mover.plane != 'G17',
+            'LinuxCNC taps along the wrong axis here; tap in G17, or choose --dialect fanuc',
+            self.code,
+        )
 
     def _hole(self, mover: Mover, place: FloatArray, axis: int, feed_given: bool) -> None:
         depth, retract = (self._sticky['XYZ'[axis]], self._sticky['R'])
@@ -304,8 +310,11 @@ Given = Sequence[float | None]
 class SiemensCycle:
     def __init__(self, name: str, given: Given, mover: Mover):
         self.name, self._given, self._mover = name, given, mover
-        if None in (self._at(0), self._at(1)) or (self._at(3), self._at(4)) == (None, None):
-            raise mover.fault('give the planes RTP and RFP and the depth DP or DPR', name)
+        mover.refuse_if(
+            None in (self._at(0), self._at(1)) or (self._at(3), self._at(4)) == (None, None),
+            'give the planes RTP and RFP and the depth DP or DPR',
+            name,
+        )
 
     def _at(self, index: int) -> float | None:
         return self._given[index] if index < len(self._given) else None

@@ -45,8 +45,10 @@ class Mover(ModalState):
             return
         if self.motion is None:
             raise self.fault('axis words before G0 or G1; write G0 or G1 first')
-        if self.leaves_contour and self.motion >= 2:
-            raise self.fault('after G40 a line leads away; write G1 before the arc')
+        self.refuse_if(
+            self.leaves_contour and self.motion >= 2,
+            'after G40 a line leads away; write G1 before the arc',
+        )
         if self.targets.empty and self._begins_here(words):
             self.go(self.point, self.rotary, rapid=True)
         vector = self._vector_of(words, arc_words)
@@ -136,9 +138,12 @@ class Mover(ModalState):
     def begin_radius(self, code: str, distance: float) -> None:
         self.demand(not self.targets.empty, 'move to a place beside the contour before', code)
         frame = self.frames.plane(*PLANES[self.plane][:2])
-        known = self.vector is not None or (self.rotary_letters and self.tcp)
-        if known and abs(self.tool_axis @ frame[:, 2]) < 1.0 - SAME_AXIS:
-            raise self.fault('the tool does not stand upright on the plane of the contour', code)
+        self.refuse_if(
+            (self.vector is not None or (self.rotary_letters and self.tcp))
+            and abs(self.tool_axis @ frame[:, 2]) < 1.0 - SAME_AXIS,
+            'the tool does not stand upright on the plane of the contour',
+            code,
+        )
         self.radius_code, self.radius_plane = code, self.plane
         if distance:
             told = self._tell_gouge if self.dialect is LINUXCNC else None
@@ -196,8 +201,11 @@ class Mover(ModalState):
 
     def in_step(self, code: str, point: FloatArray, pitch: float, comes_back: bool) -> None:
         """Go to a point in step with the spindle, by ``pitch`` in a turn [m], and maybe back."""
-        if self.by_surface_speed or not self.spindle_speed > 0.0:
-            raise self.fault('needs S, the speed in rev/min', code)
+        self.refuse_if(
+            self.by_surface_speed or not self.spindle_speed > 0.0,
+            'needs S, the speed in rev/min',
+            code,
+        )
         self.demand(self.vector is None, 'needs rotary words before, not directions', code)
         start, rotary = self.point, self.rotary
         way = point - start
@@ -230,8 +238,9 @@ class Mover(ModalState):
         for letter in 'ABC':
             if letter in words.values and letter not in self.rotary_letters:
                 axes = ' '.join(self.geometry.machine.axis_names)
-                text = f'the machine has no axis {letter}, only {axes}'
-                raise self.fault(text, letter, DependsOn.LINE)
+                raise self.fault(
+                    f'the machine has no axis {letter}, only {axes}', letter, DependsOn.LINE
+                )
         letters = ('X', 'Y', 'Z', *self.rotary_letters, *self.extra_letters)
         return any(letter in words.values for letter in letters)
 
@@ -303,8 +312,7 @@ class Mover(ModalState):
         turned = self.vector is not None or bool(self.rotary.any() or self.extra.any())
         turned = turned or any(words.values.get(letter) for letter in self.rotary_letters)
         if self.tcp and turned:
-            if not self.dialect.is_sure or self.oriented:
-                raise self.fault(_TWO_MEANINGS)
+            self.refuse_if(not self.dialect.is_sure or self.oriented, _TWO_MEANINGS)
             if self.dialect.machine_axes:
                 word = self.tcp
                 self.switch_tcp('')
@@ -402,8 +410,9 @@ class Mover(ModalState):
 
     def _scale_in_plane(self, plane: str) -> float:
         first, second = (abs(float(self.frames.factor[i])) for i in PLANES[plane][:2])
-        why = 'an arc or corner whose axes have different scales; post it as lines'
-        self.demand(first == second, why)
+        self.demand(
+            first == second, 'an arc or corner whose axes have different scales; post it as lines'
+        )
         return first
 
     def tolerances(self) -> tuple[float, float]:
@@ -534,8 +543,9 @@ class Mover(ModalState):
                 other = given <= set(letters) and plane != self.plane
                 if other and self._fits(target, offset, absolute, plane):
                     what = 'WARNING: arcs in another plane than the active one'
-                    why = 'their letters I J K tell it; most controls need G17, G18 or G19'
-                    self.notice(what, why)
+                    self.notice(
+                        what, 'their letters I J K tell it; most controls need G17, G18 or G19'
+                    )
                     return plane
         return self.plane
 

@@ -65,15 +65,22 @@ def measuring(words: BlockWords) -> list[str]:
 
 def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> FloatArray:
     """Take the words of a probing block; return the point to which it leads, (3,) [m]."""
-    if code == 'G31' and mover.dialect not in (FANUC, PLAIN):
-        raise mover.fault('skips on Fanuc; write G38.3', code)
-    if code.startswith('MEAS') and mover.motion != 1:
-        raise mover.fault('measures along a line; write G1 with it', code)
+    mover.refuse_if(
+        code == 'G31' and mover.dialect not in (FANUC, PLAIN), 'skips on Fanuc; write G38.3', code
+    )
+    mover.refuse_if(
+        code.startswith('MEAS') and mover.motion != 1,
+        'measures along a line; write G1 with it',
+        code,
+    )
     mover.demand(CODES[code].word in signals.words, NO_PROBE, code)
     mover.demand(not mover.targets.empty, 'move to a place before the part first', code)
     here, target = mover.here(), mover.target(words)
-    if np.abs(target[3:] - here[3:]).max(initial=0.0) > 1e-9 * DEG:  # NaN without these axes
-        raise mover.fault('probes along X Y Z; turn the rotary axes before', code)
+    mover.refuse_if(
+        np.abs(target[3:] - here[3:]).max(initial=0.0) > 1e-9 * DEG,
+        'probes along X Y Z; turn the rotary axes before',
+        code,
+    )
     point: FloatArray = mover.frames.point(target[:3])
     mover.demand(
         np.linalg.norm(point - mover.point) > SHORTEST, 'leads nowhere; give X, Y or Z', code

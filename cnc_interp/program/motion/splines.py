@@ -149,8 +149,9 @@ class Splines:
             how = f'switch it on with {codes.TCP_ON_WORDS}'
             raise mover.fault(f'a spline needs tool-tip programming; {how}', 'BSPLINE')
         if mover.frames.length:
-            why = 'a spline with a tool length; put it into the machine file'
-            raise mover.fault(why, 'BSPLINE')
+            raise mover.fault(
+                'a spline with a tool length; put it into the machine file', 'BSPLINE'
+            )
         second = None if self._second is None else mover.frames.point(self._second)
         self._changed, height = None, mover.settings.flank_height
         self._curve = ProgrammedCurve(
@@ -172,8 +173,10 @@ class Splines:
         axes = {'X', 'Y', 'Z', *mover.rotary_letters} & set(words.values)
         if not axes and not given.keys() - {'SD', 'PW'}:
             return False
-        if set(mover.rotary_letters) & set(words.values) or any(n == 'A3' for n, _ in words.sets):
-            raise mover.fault('rotary words in a spline; give the tool axis by XH YH ZH')
+        mover.refuse_if(
+            set(mover.rotary_letters) & set(words.values) or any(n == 'A3' for n, _ in words.sets),
+            'rotary words in a spline; give the tool axis by XH YH ZH',
+        )
         point = mover.frames.point(mover.target(words)[:3])
         mover.check_point(point)
         second = self._second_point(given)
@@ -256,8 +259,11 @@ class Splines:
 
     def _linear(self, words: BlockWords, given: dict[str, float]) -> None:
         mover = self._mover
-        if given.keys() - {'XH', 'YH', 'ZH', 'SD', 'PW'}:
-            raise mover.fault('this word belongs into a spline; write BSPLINE first', 'PL')
+        mover.refuse_if(
+            given.keys() - {'XH', 'YH', 'ZH', 'SD', 'PW'},
+            'this word belongs into a spline; write BSPLINE first',
+            'PL',
+        )
         second = self._second_point(given)
         if second is None:
             if {'X', 'Y', 'Z', *mover.rotary_letters} & set(words.values):

@@ -30,17 +30,17 @@ BY_AXES, SOLID, PROJECTED, DIRECT = range(4)  #: Kinds of angles of CYCLE800.
 class TiltedPlane:
     def __init__(self, mover: Mover):
         self._mover, self.notice = mover, mover.notice
-        self.fault, self.demand = mover.fault, mover.demand
+        self.fault, self.demand, self.refuse_if = mover.fault, mover.demand, mover.refuse_if
         #: Points, or directions, of a plane that takes several blocks (P2, P3), by their number.
         self.parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
 
     def refuse_gaps(self, codes: Sequence[str]) -> None:
         """Refuse other words before all blocks of a plane are there."""
-        if self.parts and not DEFINING & set(codes):
-            raise self.fault(
-                'the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
-                'Q3, P3 two directions'
-            )
+        self.refuse_if(
+            self.parts and not DEFINING & set(codes),
+            'the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
+            'Q3, P3 two directions',
+        )
 
     def execute(self, code: str, words: BlockWords) -> None:
         if code in DEFINING:
@@ -132,8 +132,9 @@ class TiltedPlane:
         return np.asarray(direction / length)
 
     def _along_tool(self, origin: FloatArray, named: set[str], angle: float) -> None:
-        if named and len(named) < 3:
-            raise self.fault('give X, Y and Z of the origin, or none of them', 'G68.3')
+        self.refuse_if(
+            named and len(named) < 3, 'give X, Y and Z of the origin, or none of them', 'G68.3'
+        )
         mover = self._mover
         self.cancel()
         normal = mover.frames.turn.T @ mover.tool_axis  # in the frame of the work offset

@@ -300,8 +300,11 @@ class ClReader:
         self._leave_circle()
 
     def _set_unit(self, said: Statement) -> None:
-        known = said.minor in cl_words.LENGTH_UNITS
-        self._demand(known, 'unknown unit; write UNITS/MM or UNITS/INCHES', said.text)
+        self._demand(
+            said.minor in cl_words.LENGTH_UNITS,
+            'unknown unit; write UNITS/MM or UNITS/INCHES',
+            said.text,
+        )
         self.unit = cl_words.LENGTH_UNITS[said.minor]
 
     def _set_axis(self, said: Statement) -> None:
@@ -365,8 +368,9 @@ class ClReader:
 
     def _copy(self, said: Statement) -> None:
         if not self._frames.copy(said.minor, self._statement):
-            text = 'write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, XYROT'
-            raise self._fault(text, said.major)
+            raise self._fault(
+                'write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, XYROT', said.major
+            )
 
     def _switch(self, major: str, minor: str) -> bool:
         words, given = cl_words.machine_words(major, minor)
@@ -387,8 +391,8 @@ class ClReader:
     def _begin_circle(self, said: Statement) -> None:
         remedy = f'write CIRCLE/x,y,z,i,j,k,r; {cl_words.LINEAR}'
         numbers = _numbers_of(said.minor)
-        if len(numbers) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
-            raise self._fault(remedy, 'CIRCLE')
+        # SolidWorks has 6, the others 7, NX with tolerances 11.
+        self._demand(len(numbers) in (6, 7, 11), remedy, 'CIRCLE')
         if self._frames.is_moved:
             numbers[:3] = self._frames.point(numbers[:3]).tolist()
         self._demand(
@@ -398,10 +402,11 @@ class ClReader:
         circle = _Circle(np.array(numbers[:3]) * self.unit, normal, 0.0)
         circle.radius = numbers[6] * self.unit if len(numbers) > 6 else circle.off(here)
         size, off = max(*np.abs(circle.centre), circle.radius), circle.off(here)
-        if not size <= _FARTHEST or not circle.radius > 0.0:
-            raise self._fault(
-                'a circle beyond 100,000 mm, or with a radius of zero; correct it', 'CIRCLE'
-            )
+        self._demand(
+            size <= _FARTHEST and circle.radius > 0.0,
+            'a circle beyond 100,000 mm, or with a radius of zero; correct it',
+            'CIRCLE',
+        )
         self._demand(
             off <= arcs.allowed_mismatch(np.array(circle.radius)),
             f'the tool is {off / self.unit:.4g} away from this circle; correct '
@@ -462,8 +467,9 @@ class ClReader:
     def _begin_at(self, said: Statement) -> None:
         match = _GOTO.fullmatch('GOTO/' + said.minor)
         if match is None:
-            text = 'expected three numbers, or six with the tool axis'
-            raise self._fault(text, f'FROM/{said.minor}')
+            raise self._fault(
+                'expected three numbers, or six with the tool axis', f'FROM/{said.minor}'
+            )
         if self.targets.empty:
             self._goto(match.groups())
 
@@ -477,8 +483,11 @@ class ClReader:
             'feed per revolution is not supported yet; use MMPM',
             said.text,
         )
-        if len(numbers) != 1 or any(word not in cl_words.FEED_UNITS for word in units):
-            raise self._fault('write FEDRAT/value,MMPM or FEDRAT/value,IPM', said.text)
+        self._demand(
+            len(numbers) == 1 and all(word in cl_words.FEED_UNITS for word in units),
+            'write FEDRAT/value,MMPM or FEDRAT/value,IPM',
+            said.text,
+        )
         value = float(numbers[0])
         self._demand(0.0 < value < inf, 'the feedrate must be greater than zero', said.text)
         unit = (cl_words.FEED_UNITS[units[0]] if units else 0.0) or self.unit

@@ -79,12 +79,12 @@ class GcodeReader(ProgramReader):
         self.in_flow = True
         rest = self.flow.execute(line) if line else None
         self.in_flow = False
-        if rest and rest[-1] == '*':
-            raise self.fault(
-                '* ends a block in DIN/ISO of Heidenhain, where G30 and G31 are the '
-                'blank; post for Fanuc or as plain text',
-                '*',
-            )
+        self.refuse_if(
+            rest and rest[-1] == '*',
+            '* ends a block in DIN/ISO of Heidenhain, where G30 and G31 are the '
+            'blank; post for Fanuc or as plain text',
+            '*',
+        )
         if rest and self.settings.numbers == 'increments':
             rest = self._with_points(rest)
         if rest and not (rest[0] in 'O<' and self.targets.empty and is_name(rest)):

@@ -246,16 +246,21 @@ class HeidenhainReader(ProgramReader):
         self._drill()
 
     def _switch_tcp(self, match: re.Match[str]) -> None:
-        if not match[1] and 'SPAT' in match[2]:
-            raise self.fault(
-                'angles in space are not supported; post with AXIS POS', 'TCPM', DependsOn.LINE
-            )
+        self.refuse_if(
+            not match[1] and 'SPAT' in match[2],
+            'angles in space are not supported; post with AXIS POS',
+            'TCPM',
+            DependsOn.LINE,
+        )
         self.execute(BlockWords(m=['M129' if match[1] else 'M128']))
 
     def _corner(self, match: re.Match[str]) -> None:
         # The line before has looked for it.
-        held = self.mover.held is not None
-        self.demand(held, 'belongs between two lines, L or LP, in the plane', match[1])
+        self.demand(
+            self.mover.held is not None,
+            'belongs between two lines, L or LP, in the plane',
+            match[1],
+        )
 
     def _motion(self, match: re.Match[str]) -> None:
         self._move(match[1], match[2])
@@ -297,8 +302,11 @@ class HeidenhainReader(ProgramReader):
         if 'M140' in found:
             found.remove('M140')
             size, feed, back = self.mover.unit, values.pop('F', 0.0), values.pop('MB', 0.0)
-            if self._place(values) or ('MB' not in found and not back > 0.0):
-                raise self.fault('write a block of its own, M140 MB MAX or M140 MB 50', 'M140')
+            self.refuse_if(
+                self._place(values) or ('MB' not in found and not back > 0.0),
+                'write a block of its own, M140 MB MAX or M140 MB 50',
+                'M140',
+            )
             self.mover.draw_back(back * size if back else None, feed * size / MINUTE)
             found = [word for word in found if word != 'MB']
         words = BlockWords(m=[code for code in found if code[0] == 'M'] + ([stop] if stop else []))
@@ -314,14 +322,18 @@ class HeidenhainReader(ProgramReader):
         for name, letter in (('TX', 'A3'), ('TY', 'B3'), ('TZ', 'C3')):
             if name in values:
                 words.sets.append((letter, values[name]))
-        if kind == 'LN' and not words.sets and self.mover.tcp:
-            raise self.fault('the tool direction is missing; post TX TY TZ', 'LN')
+        self.refuse_if(
+            kind == 'LN' and not words.sets and self.mover.tcp,
+            'the tool direction is missing; post TX TY TZ',
+            'LN',
+        )
         moves = bool(place or words.sets)
         if moves:
             words.g.insert(0, 'G0' if 'FMAX' in found else 'G1')
         if kind in ('C', 'CP', 'CR', 'CT'):
-            if kind != 'CT' and not turn:
-                raise self.fault('the direction is missing; write DR+ or DR-', kind)
+            self.refuse_if(
+                kind != 'CT' and not turn, 'the direction is missing; write DR+ or DR-', kind
+            )
             words.g[:1] = [self._arc(kind, values, words, turn)]
         self._frames.before(place.keys(), 'G53' in words.g)
         start = self._flat(self.mover.here())
@@ -361,8 +373,9 @@ class HeidenhainReader(ProgramReader):
                 words.g.append('G40')
             elif word in ('RL', 'RR') and self.mover.radius_code != f'G4{1 + (word == "RR")}':
                 words.g.append(f'G4{1 + (word == "RR")}')
-        if 'DR' in values or 'DL' in values:
-            raise self.fault('is allowed in TOOL CALL only', 'DR', DependsOn.LINE)
+        self.refuse_if(
+            'DR' in values or 'DL' in values, 'is allowed in TOOL CALL only', 'DR', DependsOn.LINE
+        )
         if self.shortest:
             words.ways |= dict.fromkeys(self.mover.rotary_letters, 'DC')
 
@@ -398,8 +411,11 @@ class HeidenhainReader(ProgramReader):
             if on_arc and whole > 1.0 + 1e-9:
                 turns = int(np.ceil(whole - 1e-9))
                 words.put('P', float(turns), f'IPA{values["IPA"]:g}')
-            if on_arc and turn and (values['IPA'] < 0.0) != (turn == '-'):
-                raise self.fault('IPA and DR turn in different directions; correct one', 'CP')
+            self.refuse_if(
+                on_arc and turn and (values['IPA'] < 0.0) != (turn == '-'),
+                'IPA and DR turn in different directions; correct one',
+                'CP',
+            )
         end = self.centre + radius * exp(1j * angle)
         a, b, _ = PLANES[self.mover.plane]
         place['XYZ'[a]], place['XYZ'[b]] = end.real / unit, end.imag / unit
@@ -471,8 +487,11 @@ class HeidenhainReader(ProgramReader):
         number, part, rest = int(match[1]), match[2], match[3]
         define = self._CYCLES.get(number)
         if define is None or (number in self._OF_PARTS and not part):
-            why = 'this cycle is not supported; post it as L and C'
-            raise self.fault(why, f'CYCL DEF {number}', DependsOn.LINE)
+            raise self.fault(
+                'this cycle is not supported; post it as L and C',
+                f'CYCL DEF {number}',
+                DependsOn.LINE,
+            )
         define(self, number, part, rest)
 
     def _define_frame(self, number: int, part: str, rest: str) -> None:
@@ -533,8 +552,11 @@ class HeidenhainReader(ProgramReader):
         if self.cycle in (204, 208):
             self._bore(of)
             return
-        if self.cycle == 240 and of('Q343'):
-            raise self.fault('a depth by the diameter is not supported; write Q201', 'Q343')
+        self.refuse_if(
+            self.cycle == 240 and of('Q343'),
+            'a depth by the diameter is not supported; write Q201',
+            'Q343',
+        )
         surface = of('Q203') * unit if self.cycle >= 200 else float(mover.here()[axis])
         if self.cycle < 200:
             surface -= of('Q200') * unit  # the tool stands on the clearance
@@ -617,10 +639,11 @@ class HeidenhainReader(ProgramReader):
                 'write Q335 not below the diameter of the tool, Q334 above 0, and Q201 below 0',
                 name,
             )
-            if radius > cutter and not of('Q342') > 0.0:
-                raise self.fault(
-                    'the hole is more than twice as wide as the tool; write Q342', name
-                )
+            self.refuse_if(
+                radius > cutter and not of('Q342') > 0.0,
+                'the hole is more than twice as wide as the tool; write Q342',
+                name,
+            )
             self.notice(name, 'begins above the hole, at the side of the first axis')
             aside[a] += radius
             go(here, retract)

@@ -26,7 +26,7 @@ _TURNS = {
 class HeidenhainFrames:
     def __init__(self, mover: Mover, tilted: TiltedPlane):
         self._mover, self._tilted = mover, tilted
-        self._fault, self._demand = mover.fault, mover.demand
+        self._fault, self._demand, self._refuse_if = mover.fault, mover.demand, mover.refuse_if
         #: Datum shift [mm or inch, deg], plane and rotation [deg], and the angles of cycle 19.
         self._shift: dict[str, float] = {}
         self._turn: FloatArray | None = None
@@ -86,9 +86,10 @@ class HeidenhainFrames:
         mirrors = frames.mirrors if mirrors is None else mirrors
         if not (frames.scales or mirrors or (scale != 1.0).any()):
             return
-        tilted = mover.tcp or mover.oriented or self._turn is not None
-        self._demand(
-            not tilted, 'with tool-tip programming or a tilted plane; post the path itself', cycle
+        self._refuse_if(
+            mover.tcp or mover.oriented or self._turn is not None,
+            'with tool-tip programming or a tilted plane; post the path itself',
+            cycle,
         )
         self._demand(
             not (mirrors and centre.any()), 'a mirrored axis and the centre of a scale', cycle
@@ -208,12 +209,12 @@ class HeidenhainFrames:
         if turns and mover.tcp == ORIENTED:
             mover.set_oriented(False)
             self._waits = True
-        if self._waits and not machine and not {'X', 'Y', 'Z'}.isdisjoint(named):
-            raise self._fault(
-                'the tool does not stand upright on the plane; turn the axes in a '
-                'block before, or write TURN or MOVE',
-                'PLANE',
-            )
+        self._refuse_if(
+            self._waits and not machine and not {'X', 'Y', 'Z'}.isdisjoint(named),
+            'the tool does not stand upright on the plane; turn the axes in a '
+            'block before, or write TURN or MOVE',
+            'PLANE',
+        )
 
     def after(self) -> None:
         if self._waits and self._stands():

@@ -23,7 +23,8 @@ class ProgramReader(ABC):
 
     def __init__(self, at: Execution):
         self.at, self.flow, self.settings = at, at.flow, at.settings
-        self.fault, self.demand, self.notice = at.fault, at.demand, at.notice
+        self.fault, self.demand, self.refuse_if = at.fault, at.demand, at.refuse_if
+        self.notice = at.notice
         self.in_flow = False  # whether a refusal leaves it open which line is the next
 
     @abstractmethod
@@ -84,8 +85,10 @@ class ProgramReader(ABC):
 
     def _last_blocks(self, refused: Refusals) -> Iterator[Blocks]:
         flow, mover, targets = self.flow, self.mover, self.targets
-        if flow.ran_out and flow.has_o_words and mover.dialect is LINUXCNC:
-            raise self.fault('the program ends without M2, M30 or %; add M2')
+        self.refuse_if(
+            flow.ran_out and flow.has_o_words and mover.dialect is LINUXCNC,
+            'the program ends without M2, M30 or %; add M2',
+        )
         if refused:
             raise refused.error()
         if mover.lone_arc:

@@ -117,6 +117,11 @@ class Cursor:
         if not holds:
             raise self.fault(message, word, depends_on)
 
+    def refuse_if(
+        self, fails: object, message: str, word: str = '', depends_on: DependsOn = DependsOn.STATE
+    ) -> None:
+        self.demand(not fails, message, word, depends_on)
+
     def close(self) -> None:
         for call in self._calls:
             call.source.close()

@@ -144,8 +144,11 @@ class Flow(Cursor):
         if match is None or (match[1] in ('IF', 'CASE') and match[2] == ''):
             return False
         word, rest = match[1], match[2].strip()
-        if word == 'REPEAT' and rest:
-            raise self.fault('a section is repeated by a label; write REPEAT and UNTIL', word)
+        self.refuse_if(
+            word == 'REPEAT' and rest,
+            'a section is repeated by a label; write REPEAT and UNTIL',
+            word,
+        )
         if word in ('IF', *BETWEEN):
             self.run_word(_NESTED_IF, word, rest)
         elif word in ENDS or word in HEADS:
@@ -221,10 +224,11 @@ class Flow(Cursor):
         folder = self.folder
         stem = next((s for s in (name, name.lower()) if subprogram_file(folder, s)), None)
         if stem is None:
-            if match[1] or (name[0] == 'L' and name[1:].isdigit()):
-                raise self.fault(
-                    f'the subprogram {name} is not in the folder of the program; add it', line
-                )
+            self.refuse_if(
+                match[1] or (name[0] == 'L' and name[1:].isdigit()),
+                f'the subprogram {name} is not in the folder of the program; add it',
+                line,
+            )
             return False
         self.call_file(stem, int(match[3] or 1))
         return True

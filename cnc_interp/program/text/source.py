@@ -122,8 +122,12 @@ class Source:
         if longest > _LONGEST_LINE:
             at = next(i for i, line in enumerate(text.split(b'\n')) if len(line) == longest)
             begin = text.split(b'\n')[at][:20].decode('ascii', 'replace')
-            why = f'a line of more than {_LONGEST_LINE} characters; give a part program'
-            raise ProgramError(why, self.name, place.line + at, begin)
+            raise ProgramError(
+                f'a line of more than {_LONGEST_LINE} characters; give a part program',
+                self.name,
+                place.line + at,
+                begin,
+            )
         return text if text.endswith(b'\n') else text + b'\n'
 
     def find(self, pattern: re.Pattern[bytes], place: LineStart) -> LineStart | None:

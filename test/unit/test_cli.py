@@ -18,7 +18,7 @@ from cnc_interp.core import BlockError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
-from cnc_interp.program.text.codes import NO_SPINDLE
+from cnc_interp.program.text.code_tables import NO_SPINDLE
 from cnc_interp.run import planning_chain
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_figures import ToleranceUse

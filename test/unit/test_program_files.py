@@ -14,7 +14,7 @@ from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, read_program
-from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.settings.options import Settings
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ from test_program_subdivision import TableAC
 from cnc_interp.core import ProgramError, SettingsError
 from cnc_interp.program import read_text
 from cnc_interp.program.readers import cl_words
-from cnc_interp.program.text import codes
+from cnc_interp.program.text import code_tables as codes
 from cnc_interp.settings.options import Settings
 
 SYNTAX = [

@@ -15,8 +15,8 @@ from cnc_interp.program.job import JobSetup
 from cnc_interp.program.modal.state import words_of_state
 from cnc_interp.program.modal.system_variables import named, numbered
 from cnc_interp.program.motion import probing
+from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.motion.cycles import CannedCycle, SiemensCycle, dwell_of
-from cnc_interp.program.motion.mover import Mover
 from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.motion.splines import Splines
 from cnc_interp.program.motion.tilted_plane import TiltedPlane

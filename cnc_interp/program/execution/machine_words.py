@@ -9,7 +9,7 @@ from cnc_interp.program.execution.context import Execution, State
 from cnc_interp.program.execution.setup_words import choose_offset
 from cnc_interp.program.geometry.target_row import AT_M0, AT_M1
 from cnc_interp.program.job import SetupChange
-from cnc_interp.program.text import codes
+from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.words import BlockWords
 
 

@@ -10,7 +10,7 @@ from cnc_interp.program.geometry.contact_normal import ToolShape
 from cnc_interp.program.modal.modal_words import MODES, SETTINGS
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.motion.cycles import TAPPING, CannedCycle
-from cnc_interp.program.text import codes
+from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.words import BlockWords
 from cnc_interp.settings.options import Settings
 

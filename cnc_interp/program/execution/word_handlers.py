@@ -15,7 +15,7 @@ from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.modal.modal_words import MODES, SETTINGS
 from cnc_interp.program.motion import bezier, probing
 from cnc_interp.program.motion.tilted_plane import CODES as PLANE_CODES
-from cnc_interp.program.text import codes
+from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.words import BlockWords
 
 

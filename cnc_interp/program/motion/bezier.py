@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnc_interp.core import FloatArray
-from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text.words import BlockWords
 
 CODES = ('G5', 'G5.1')

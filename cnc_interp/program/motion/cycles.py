@@ -14,8 +14,8 @@ from cnc_interp.machine_model import signals
 from cnc_interp.program.geometry.arcs import PLANES
 from cnc_interp.program.geometry.target_row import AT_M0
 from cnc_interp.program.modal.state import FARTHEST
-from cnc_interp.program.motion.mover import Mover
-from cnc_interp.program.text import codes
+from cnc_interp.program.motion.block_motion import Mover
+from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.dialect_traits import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.text.words import BlockWords
 

@@ -12,8 +12,8 @@ import numpy as np
 from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.geometry.target_row import NO_ARC
-from cnc_interp.program.motion.mover import Mover
-from cnc_interp.program.text import codes
+from cnc_interp.program.motion.block_motion import Mover
+from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.words import BlockWords
 
 #: Names of words for curves and second points; they are written with an equals sign.

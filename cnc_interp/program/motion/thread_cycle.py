@@ -4,7 +4,7 @@ from math import copysign, isclose, radians, tan
 
 import numpy as np
 
-from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text.words import BlockWords
 
 CODE = 'G76'

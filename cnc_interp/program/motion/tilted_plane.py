@@ -12,7 +12,7 @@ import numpy as np
 from cnc_interp.core import DEG, FloatArray
 from cnc_interp.program.geometry.arcs import PLANES
 from cnc_interp.program.geometry.frames import rotation
-from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text.words import BlockWords
 
 #: Codes that define a plane, and these with those that turn the tool to it.

@@ -22,7 +22,7 @@ from cnc_interp.program.motion.cycles import RAPID, Hole
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.readers import cl_words
 from cnc_interp.program.readers.cl_words import IDENTITY, ClFrames, moves, system_of
-from cnc_interp.program.text import codes
+from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.source import LineStart, Source
 from cnc_interp.settings.options import Settings
 

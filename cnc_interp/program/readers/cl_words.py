@@ -14,7 +14,7 @@ from cnc_interp.machine_model.signals import DWELL
 from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.program.geometry.target_row import AT_M0, AT_M1
 from cnc_interp.program.motion.cycles import Hole, pecks_of
-from cnc_interp.program.text import codes
+from cnc_interp.program.text import code_tables as codes
 
 #: Words that are followed by text to the end of the line.
 TEXT = ('PARTNO', 'PPRINT', 'REMARK', 'INSERT', 'LETTER', 'TPRINT')

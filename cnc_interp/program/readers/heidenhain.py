@@ -13,8 +13,8 @@ from cnc_interp.program.execution.setting_words import tolerances
 from cnc_interp.program.execution.setup_words import cutter_of
 from cnc_interp.program.geometry.arcs import PLANES, Corner
 from cnc_interp.program.job import Tool
+from cnc_interp.program.motion.block_motion import NO_CORNER
 from cnc_interp.program.motion.cycles import Hole, dwell_of, go_along, make_hole, pecks_of
-from cnc_interp.program.motion.mover import NO_CORNER
 from cnc_interp.program.readers.heidenhain_frames import HeidenhainFrames
 from cnc_interp.program.readers.program_reader import ProgramReader
 from cnc_interp.program.text.cursor import Loop

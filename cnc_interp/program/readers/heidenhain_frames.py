@@ -12,7 +12,7 @@ from cnc_interp.core import DEG, DependsOn, FloatArray
 from cnc_interp.program.geometry.arcs import PLANES
 from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.program.modal.state import ORIENTED
-from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.motion.tilted_plane import TiltedPlane
 from cnc_interp.program.text.words import BlockWords
 

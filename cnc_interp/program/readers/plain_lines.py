@@ -1,4 +1,4 @@
-"""Many plain lines to motion targets at once, with the same result as ``motion/mover.py``."""
+"""Many plain lines to motion targets at once, with the same result as ``block_motion.py``."""
 
 from math import inf, nan, pi
 
@@ -10,7 +10,7 @@ from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.geometry import target_row as col
 from cnc_interp.program.geometry.arcs import PLANES, TOLD, arcs_of
 from cnc_interp.program.modal.state import FARTHEST, LONG_WAY, SLOWEST
-from cnc_interp.program.motion.mover import MOST_TURN, Mover
+from cnc_interp.program.motion.block_motion import MOST_TURN, Mover
 from cnc_interp.program.text import scan
 from cnc_interp.program.text.dialect_traits import PLAIN
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from cnc_interp.core import DependsOn, ProgramError
 from cnc_interp.program.text import expressions
-from cnc_interp.program.text.codes import HARMLESS_KEYS, refused_key
+from cnc_interp.program.text.code_tables import HARMLESS_KEYS, refused_key
 
 # The look-ahead after each number and name rejects every shorter match. So a line of a million
 # digits fails in linear time. Possessive quantifiers would do the same, but fail in Python 3.11.2.

@@ -44,12 +44,33 @@ _CALL = re.compile(r'^\s*\d+\s+N(?:\.+|\d+)\s*([A-Z]\w*)\((.*)\)\s*$')
 _FIRST = re.compile(r'\A(\s*%[^\n]*\n)?')
 _NUMBER = re.compile(r'-?\d+\.?\d*')
 _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
-#: A program that goes on with what a probe has touched.
-_PROBED = re.compile(r'#\s*50(?:6\d|70)')
-#: Cutter radius compensation in a text without comments. A match begins at its letter: a pattern
-#: that begins at a line start would look at the whole rest of the text from each line.
-_COMPENSATED = re.compile(r'(?<![A-Z<_])G[ \t]*0*4[12](?!\d)', re.IGNORECASE)
-_BY_NORMALS = re.compile(r'(?<![A-Z<_])(?:G[ \t]*0*4[12]\.2(?!\d)|CUT3DF)', re.IGNORECASE)
+#: Words of a text without comments that cannot be compared, and why. A match begins at its letter:
+#: a pattern that begins at a line start would look at the whole rest of the text from each line.
+_NOT_COMPARED = tuple(
+    (re.compile(pattern, re.IGNORECASE), why)
+    for pattern, why in (
+        (
+            r'(?<![A-Z<_])(?:G[ \t]*0*4[12]\.2(?!\d)|CUT3DF)',
+            'LinuxCNC has no compensation along normals',
+        ),
+        (
+            r'(?<![A-Z<_])G[ \t]*0*4[12](?!\d)',
+            'LinuxCNC begins a compensated contour at another place',
+        ),
+        (
+            r'#\s*50(?:6\d|70)',
+            "LinuxCNC's rs274 lets the probe answer before the end of its line",
+        ),
+        (
+            r'#\s*5(?:1[68]|21|2[2-9]|3[0-8])[1-9](?!\d)',
+            "LinuxCNC's rs274 has the places #5161 to #5389 in inches",
+        ),
+        (
+            r'#\s*(?:4\d{3}|50[0-4]\d|508\d)(?!\d)',
+            'LinuxCNC has no modal words and places of Fanuc (#4001 to #5083)',
+        ),
+    )
+)
 
 
 class LinuxCNCError(InterpError):
@@ -74,13 +95,9 @@ def read_by_linuxcnc(
     if len(axis_names) > 5:
         raise LinuxCNCError("LinuxCNC's rs274 prints no extra axes")
     setup = setup or Setup()
-    text = _prepared(text, skip, setup.tool)
-    if _BY_NORMALS.search(text):
-        raise LinuxCNCError('LinuxCNC has no compensation along normals')
-    if _COMPENSATED.search(text):
-        raise LinuxCNCError('LinuxCNC begins a compensated contour at another place')
-    if _PROBED.search(text):
-        raise LinuxCNCError("LinuxCNC's rs274 lets the probe answer before the end of its line")
+    text = _prepared(text, skip, setup)
+    if why := next((why for pattern, why in _NOT_COMPARED if pattern.search(text)), ''):
+        raise LinuxCNCError(why)
     most = BESIDE + EACH * (rows + text.count('\n'))
     seconds = SECONDS + SECONDS_PER_MB * (len(text) >> 20)
 
@@ -115,7 +132,8 @@ def read_by_linuxcnc(
         ):
             assert child.stdout is not None
             try:
-                yield from _moves(child.stdout, axis_names, most)
+                for each in _moves(child.stdout, axis_names, most):
+                    yield each if isinstance(each, ReadCall) else _from_zero(each, setup.zero)
             finally:
                 child.kill()
             child.wait()
@@ -131,13 +149,21 @@ def _demand_end(said: str, code: int) -> None:
         raise LinuxCNCError(f"LinuxCNC's rs274 cannot read it: {' '.join(lines)[:100]}")
 
 
-def _prepared(text: str, skip: bool, tool: int = 0) -> str:
+def _from_zero(move: ReadMove, zero: FloatArray) -> ReadMove:
+    """Count a motion in machine coordinates from the workpiece zero."""
+    centre = None if move.centre is None else move.centre - zero[list(move.plane[:2])]
+    return replace(move, end=move.end - zero, centre=centre)
+
+
+def _prepared(text: str, skip: bool, setup: Setup) -> str:
+    """Return the text as rs274 reads it; before it the tool stands at the workpiece zero."""
     text = (_BLANK if skip else _SLASH).sub('', _COMMENT.sub(' ', text.replace('\r', '')))
     if '(' in text or ';' in text or ')' in text:
         raise LinuxCNCError("LinuxCNC's rs274 does not get a comment within a comment")
     text = _SWITCH.sub(lambda word: f'({word[1].upper()})', _LEFT_OUT.sub('', text))
-    taken = f'T{tool} M6\n' if tool else ''
-    return _FIRST.sub(rf'\1G98\n{taken}', f'{text}\nM2\n', count=1)
+    taken = f'T{setup.tool} M6\n' if setup.tool else ''
+    stands = 'G53 G0 X{:.9f} Y{:.9f} Z{:.9f}\nG80'.format(*(setup.zero / MM))
+    return _FIRST.sub(rf'\1G98\n{stands}\n{taken}', f'{text}\nM2\n', count=1)
 
 
 def _moves(
@@ -313,6 +339,8 @@ class Setup:
     parameters: Mapping[int, float] = field(default_factory=dict)  #: By number [inch, deg].
     tool_lengths: Mapping[int, float] = field(default_factory=dict)  #: By their numbers [m].
     tool: int = 0  #: The tool in the spindle; 0: none.
+    #: (3,): Machine coordinates of the workpiece zero, from which motions count [m].
+    zero: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 def cutters_of(text: Any) -> dict[int, tuple[float, float, float]] | None:
@@ -341,37 +369,29 @@ def _worn(tool: Mapping[str, Any], size: str) -> float:
 
 
 def setup_of(text: Any, machine: Machine) -> Setup:
-    if not text:
-        return Setup()
-    zero = Transform.of(machine).linear(np.zeros((1, 3)), np.zeros((1, 2)))[0] / MM
-    at_zero, nowhere = dict(zip('XYZ', zero.tolist(), strict=True)), dict.fromkeys('XYZ', 0.0)
+    zero = Transform.of(machine).linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
+    at_zero = dict(zip('XYZ', (zero / MM).tolist(), strict=True))
     try:
-        content = parse_yaml(str(text)) or {}
+        content = (parse_yaml(str(text)) if text else None) or {}
+        offsets, points = content.get('work_offsets', {}), content.get('reference_points', {})
         places = {
-            G54 + BETWEEN * i: content.get('work_offsets', {}).get(name)
-            for i, name in enumerate(OFFSETS)
+            G54 + BETWEEN * i: at_zero | offsets.get(name, {}) for i, name in enumerate(OFFSETS)
         }
-        places |= {
-            first: content.get('reference_points', {}).get(name)
-            for first, name in ((G28, 'G28'), (G30, 'G30'))
-        }
+        places |= {G28: points.get('G28', {}), G30: points.get('G30', {})}
+        places[G92_ON] = content.get('g92', {})
         parameters: dict[int, float] = {}
-        for first, given in ((number, place or {}) for number, place in places.items()):
+        for first, given in places.items():
             for i, letter in enumerate('XYZABC'):
                 if letter in given:
-                    value = given[letter] - at_zero.get(letter, 0.0)
-                    parameters[first + 1 + i] = value / (INCH if letter in 'XYZ' else 1.0)
+                    size = INCH if letter in 'XYZ' else 1.0
+                    parameters[first + 1 + i] = given[letter] / size
             if 'R' in given:
                 parameters[first + ROTATION] = given['R']
-        amounts = nowhere | content.get('g92', {})
-        for i, letter in enumerate('XYZABC'):
-            if amounts.get(letter):
-                parameters[G92_ON + 1 + i] = amounts[letter] / (INCH if letter in 'XYZ' else 1.0)
         parameters[G92_ON] = float(content.get('g92_on', bool(content.get('g92'))))
         parameters[ACTIVE] = 1.0 + OFFSETS.index(content.get('active') or OFFSETS[0])
         lengths = {
             int(n): _worn(tool, 'length') * MM for n, tool in content.get('tools', {}).items()
         }
-        return Setup(parameters, lengths, int(content.get('tool', 0)))
+        return Setup(parameters, lengths, int(content.get('tool', 0)), zero)
     except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
         raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None

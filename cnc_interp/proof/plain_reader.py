@@ -404,6 +404,10 @@ class _State:
         self.unknown = set()
         if not self.motion:
             raise self.refuse('axis words before G0 or G1')
+        if self.last < 0 and (arc or (self.motion == '1' and not self.absolute)):
+            motion, self.motion = self.motion, '0'  # from where the tool stands
+            self.add(0, None)
+            self.motion = motion
         self.here, sweep = end, {'2': -1, '3': 1}.get(self.motion, 0)
         sweep *= int(np.prod(np.sign(self.factor()[list(self.plane[:2])])))
         if sweep and words.keys().isdisjoint('IJKR'):

@@ -228,6 +228,8 @@ class _Comparison:
 
     def rows_of(self, move: ReadMove) -> int:
         lines, last = self.blocks['line'], self.row
+        if self.before is None:
+            return 1  # the start pose
         while last < len(lines) and lines[last] == move.line:
             last += 1
         return last

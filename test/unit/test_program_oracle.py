@@ -111,12 +111,17 @@ def test_each_kind_of_word(name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    'text', ['T1 M6 G43\nG20 G49\nG0 Z1', 'T1 M6\nG43 H2\nT1 M6\nG43\nG0 X1\n']
+    'text',
+    [
+        'T1 M6 G43\nG20 G49\nG0 Z1',
+        'T1 M6\nG43 H2\nT1 M6\nG43\nG0 X1\n',
+        'G10 L2 P1 X5\nG0 X[#5221+1]',
+    ],
 )
 def test_what_rs274_by_itself_gets_wrong_is_not_compared(text, tmp_path):
     path = tmp_path / 'part.ngc'
     path.write_text(f'G21 G90\nG0 X0 Y0 Z10\n{text}\nM2\n')
-    with pytest.raises(LinuxCNCError, match=r"LinuxCNC's rs274 (keeps|forgets)"):
+    with pytest.raises(LinuxCNCError, match=r"LinuxCNC's rs274 (keeps|forgets|has the)"):
         judged(path, 'xyz', partly=False, tools={1: 10.0, 2: 25.0})
 
 
@@ -166,6 +171,33 @@ def test_a_plan_with_offsets_and_tools_is_compared(wrong, tmp_path):
     found = compare_with_text(plan, machine, program)
     assert bool(found.faults) == bool(wrong), found.faults
     assert wrong or found.motions == 3
+
+
+@pytest.mark.parametrize(
+    ('text', 'other'),
+    [
+        ('G10 L2 P1 X5 Y6 Z-150\nG0 X1 Y1 Z1\nG1 X3 Y2', 'X5.1'),
+        ('G0 X1 Y1 Z9\nG53 G0 X30 Y4 Z-100\nG1 X3 Y2', 'Z-100.1'),
+        ('G0 X1 Y1 Z5\nG28 Z6\nG1 X3 Y2', 'Z6.1'),
+        ('G2 X0 Y0 I12 J0\nG1 X3', 'I12.1'),
+        ('G91 G1 X7 Y-3\nG2 X4 Y4 R4', 'X7.1'),
+    ],
+)
+@pytest.mark.parametrize('machine', ['xyz', 'xyzac'])
+def test_machine_coordinates_and_a_first_motion_from_where_the_tool_stands(
+    text, other, machine, tmp_path
+):
+    """Right plans were called not proven: LinuxCNC counted from the workpiece zero."""
+    program, machine, text = tmp_path / 'part.ngc', Machine.load(machine), f'F900\n{text}\nM2\n'
+    settings = Settings(feedrate=0.05)
+    for written, compared in ((text, text), (text, text.replace(other[:-2], other))):
+        program.write_text(written)
+        stream = open_program(program, Transform.of(machine), settings)
+        plan_to_files(stream, machine, tmp_path / 'plan', settings)
+        program.write_text(compared)
+        found = compare_with_text(read_plan(tmp_path / 'plan'), machine, program)
+        assert bool(found.faults) == (written != compared), found.faults
+        assert 'rs274 to' in found.readers and found.motions >= 1 + (written == compared)
 
 
 #: The random programs and expressions of a share; the seeds of all shares follow each other.

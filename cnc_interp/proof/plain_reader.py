@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core import DEG, MM, FloatArray, ProgramError
+from cnc_interp.proof.plain_klartext import Klartext
 
 #: G codes that move nothing and set nothing here.
 IDLE_G = frozenset(
@@ -28,6 +29,7 @@ IDLE_G = frozenset(
         '50.1',
         '51',
         '51.1',
+        '52',
         '54',
         '80',
         '91.1',
@@ -163,10 +165,16 @@ def read_plainly(
     settings = settings or PlainSettings()
     state = _State(name, axis_names, settings)
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
+    klartext = None
+    if re.search(r'^\s*(?:\d+\s+)?BEGIN PGM\b', text, re.MULTILINE | re.IGNORECASE):
+        klartext = Klartext(state.refuse, bool(settings.tools))
     for number, line in enumerate(text.splitlines(), start=1):
         state.line = number
         if cl_data:
             state.statement(line.strip().upper())
+        elif klartext:
+            for each in klartext.lines(line.upper(), state.coordinates()):
+                state.block(each)
         elif not (settings.skip and line.lstrip().startswith('/')):
             state.block(line.upper())
         if state.ended:
@@ -196,6 +204,7 @@ class _State:
         #: Where axes are mirrored, their scales and the point about which they are scaled.
         self.mirrors: dict[int, float] = {}
         self.scales, self.about = np.ones(3), np.zeros(3)
+        self.shift = np.zeros(3)  # by G52
         # Where the tool tip is in the words that hold after a switch, only the first reader knows.
         self.unknown: set[str] = set()
 
@@ -297,6 +306,9 @@ class _State:
             self.normal = given / np.linalg.norm(given)
         for code in SCALING & set(codes):
             self.scale(code, words, line)
+        if 'G52' in codes:
+            for k, letter in enumerate('XYZ'):
+                self.shift[k] = words.pop(letter, self.shift[k] / self.unit) * self.unit
         if 'F' in words:
             self.turn_feed = words['F'] * DEG / 60.0
             self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
@@ -317,8 +329,8 @@ class _State:
         if code in ('MIRROR', 'SCALE'):
             self.mirrors, self.scales, self.about = {}, np.ones(3), np.zeros(3)
         if code == 'G51':
-            now = (self.here[:3] - self.offset()) / self.factor()
-            self.about = np.array([places.get(k, now[k]) for k in range(3)])
+            here = self.coordinates()
+            self.about = np.array([places.get(k, here['XYZ'[k]] * self.unit) for k in range(3)])
             counts = {k: float(v) * (1.0 if '.' in v else 1e-3) for k, v in factors.items()}
             self.scales = np.array([counts.get(k, counts.get('P', 1.0)) for k in 'IJK'])
         elif code in ('G50', 'G50.1'):
@@ -340,9 +352,14 @@ class _State:
         return np.asarray(self.scales * sides)
 
     def offset(self) -> FloatArray:
-        """Return where the zero of the program is, mirrored and scaled [m]."""
+        """Return where the zero of the program is, mirrored, scaled and shifted [m]."""
         mirrored = np.array([2.0 * self.mirrors.get(k, 0.0) for k in range(3)])
-        return np.asarray(self.about + self.scales * (mirrored - self.about))
+        return np.asarray(self.shift + self.about + self.scales * (mirrored - self.about))
+
+    def coordinates(self) -> dict[str, float]:
+        """Return the coordinates of the program here, in its unit and deg."""
+        lengths = (self.here[:3] - self.offset()) / self.factor() / self.unit
+        return dict(zip(self.names, [*lengths, *self.here[3:] / DEG], strict=True))
 
     def rest(self) -> None:
         move = self.read[self.last] if self.last >= 0 else None

@@ -34,6 +34,18 @@ PROGRAMS = {
         'G90 G0 X0 Y0 Z0\nMIRROR X0\nG1 X10 F900\nASCALE X2 Y2 Z2\nY10\nG2 I5 J0\n'
         'AMIRROR X0 Y0\nG1 X3 Y4\nSCALE\nX5 Y5\nM30\n'
     ),
+    'plate.h': (
+        '0 BEGIN PGM PLATE MM\n1 BLK FORM 0.1 Z X+0 Y+0 Z-9\n2 TOOL CALL 3 Z S900\n'
+        '3 L X+0 Y+0 Z+5 R0 FMAX M3\n4 L Z-2 F300 ; down\n5 L IX+10 F900 M8\n6 CC X+10 Y+5\n'
+        '7 C X+10 Y+10 DR+\n8 CR X+20 Y+20 R+12 DR-\n9 CYCL DEF 9.0 DWELL\n'
+        '10 CYCL DEF 9.1 V.ZEIT 0.5\n'
+        '11 L Z+5 FMAX M9\n12 CYCL DEF 7.0 DATUM\n13 CYCL DEF 7.1 X+40\n14 CYCL DEF 7.2 IY-5\n'
+        '15 CYCL DEF 8.0 MIRROR\n16 CYCL DEF 8.1 X\n17 L X+10 Y+0 R0 F700\n18 CC X+10 Y+5\n'
+        '19 C X+10 Y+10 DR+\n20 CYCL DEF 8.0 MIRROR\n21 CYCL DEF 8.1\n22 CYCL DEF 11.0 SCALING\n'
+        '23 CYCL DEF 11.1 SCL 0.5\n24 L X+8 Y+6 Z+4\n25 CR X+12 Y+9 R+4 DR+\n26 CYCL DEF 11.0\n'
+        '27 CYCL DEF 11.1 SCL 1\n28 CYCL DEF 26.0\n29 CYCL DEF 26.1 X2 Y0.5 CCX+3 CCY-1\n'
+        '30 L X+5 IY+4\n31 L Z+20 FMAX M5\n32 STOP\n33 L X+0 FMAX\n34 END PGM PLATE MM\n'
+    ),
     'axes.ngc': 'G0 X0 A0 C0\nG1 X10 A10 F2000\nC90\nY10 C0\n',
     'path.apt': (
         'PARTNO A\nUNITS/MM\nMULTAX\nFEDRAT/2000\nGOTO/0,0,0,0,0,1\nGOTO/10,0,0,0,0.28,0.96\n'
@@ -53,6 +65,7 @@ MOTIONS = {
     'axes.ngc': (4, 0),
     'scaled.nc': (11, 4),
     'mirrored.mpf': (6, 1),
+    'plate.h': (13, 4),
     'path.apt': (3, 0),
     'kept.ngc': (4, 1),
 }
@@ -88,6 +101,13 @@ CHANGED = [
     ('scaled.nc', 'J2000', 'J1000', 'line 10 of the program: ends'),
     ('scaled.nc', 'G51 Z4', 'G51 Z5', 'line 18 of the program: ends'),
     ('mirrored.mpf', 'MIRROR X0\nG1', 'MIRROR Y0\nG1', 'line 3 of the program: ends 20 mm'),
+    ('plate.h', '8.1 X\n', '8.1 Y\n', 'line 18 of the program: ends'),
+    ('plate.h', '7.2 IY-5', '7.2 IY-4', 'line 18 of the program: ends 1 mm'),
+    ('plate.h', 'X+10 Y+10 DR+\n8', 'X+10 Y+10 DR-\n8', 'line 8 of the program: turns'),
+    ('plate.h', 'SCL 0.5', 'SCL 0.6', 'line 25 of the program: ends'),
+    ('plate.h', 'CCY-1', 'CCY-2', 'line 31 of the program: ends 0.5 mm'),
+    ('plate.h', 'F700', 'F701', 'line 18 of the program: has F 701'),
+    ('plate.h', '32 STOP\n', '32 ;\n', 'M0 after it'),
     ('path.apt', '0.28,0.96', '0.29,0.957', 'line 6 of the program: its tool axis'),
     ('path.apt', 'RAPID\n', '\n', 'line 8 of the program: is no rapid'),
 ]
@@ -122,7 +142,7 @@ def test_both_readers_agree(name, tmp_path, capsys):
     assert readers[-1] == 'read by the second reader of plain words'
     if not interpreter():
         assert readers[0] == "LinuxCNC's rs274 is not installed"
-    elif name in ('tcp.ngc', 'circle.ngc', 'path.apt', 'scaled.nc', 'mirrored.mpf'):
+    elif name in ('tcp.ngc', 'circle.ngc', 'path.apt', 'scaled.nc', 'mirrored.mpf', 'plate.h'):
         assert readers[0].startswith("LinuxCNC's rs274 cannot read it: ")
     else:
         assert readers[0] == "read by LinuxCNC's rs274 to 0.0001 of its unit"

@@ -288,7 +288,9 @@ class _Reading:
         for name, value in others.items():
             kind, what = _TOOL_KINDS[name]
             self.demand(type(value) is kind, f'tools.{key}.{name}: must be {what}')
-        found = {name: self._number(words[name], f'tools.{key}.{name}') * MM for name in words}
+        found: dict[str, Any] = {
+            name: self._number(words[name], f'tools.{key}.{name}') * MM for name in words
+        }
         tool = Tool(**others, **found)
         self.demand(not tool.fault, f'tools.{key}: {tool.fault}')
         return tool

@@ -155,6 +155,9 @@ def distances_to_vertices(
     )
 
 
+ORIGIN = np.zeros(3)
+
+
 @njit(cache=True, nogil=True)
 def _foot(x: FloatArray, a: FloatArray, d: FloatArray) -> float:
     length_sq = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
@@ -279,18 +282,21 @@ def _distances_to_vertices(
     high: IntArray,
     unit: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    zero = np.zeros(3)
     count = len(vertices)
     nearest = np.full(count, np.inf)
     where = np.zeros(count, dtype=np.int64)
+    to_here, step, size = np.empty(3), np.empty(3), np.empty(2)
     for k in range(count):
         for i in range(low[k], high[k]):
-            here, chord = points[i] / unit[k], (points[i + 1] - points[i]) / unit[k]
-            vertex = vertices[k] / unit[k]
-            foot = _foot(vertex, here, chord)
-            left = _line_distance(bulge[i] / unit[k], zero, zero, 0.0)
-            right = _line_distance(bulge[i + 1] / unit[k], zero, zero, 0.0)
-            distance = _line_distance(vertex, here, chord, foot) - max(left, right)
+            size[:] = 0.0
+            for c in range(3):
+                to_here[c] = (points[i, c] - vertices[k, c]) / unit[k, c]
+                step[c] = (points[i + 1, c] - points[i, c]) / unit[k, c]
+                for end in range(2):
+                    size[end] += (bulge[i + end, c] / unit[k, c]) ** 2
+            foot = _foot(ORIGIN, to_here, step)
+            off = _line_distance(ORIGIN, to_here, step, foot)
+            distance = off - np.sqrt(max(size[0], size[1]))
             if distance < nearest[k]:
                 nearest[k], where[k] = max(0.0, distance), i
                 if distance <= 0.0:

@@ -1,5 +1,5 @@
 """
-Time the problem set: the independent optimum, our law, the bound; and score three laws on it.
+Time the problem set: the independent optimum, our law, the bound; and score two laws on it.
 
     python benchmarks/problem_set.py             # writes cnc_interp/problems/times.csv
     python benchmarks/problem_set.py --missing   # goes on where a run was ended
@@ -22,7 +22,6 @@ from strokes import stroke_time
 
 from cnc_interp import axis_motion, plan_path
 from cnc_interp.core import PlanningError
-from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.problems import Problem, Score, known, paths, problems, score
 
 PERIOD = 1e-3
@@ -42,9 +41,9 @@ def best_time(case: Problem) -> float:
     return found.time if found.converged else math.nan
 
 
-def planned(case: Problem, law: str) -> Score:
-    """Score one of our laws by its samples."""
-    piece = plan_path(case.path, case.limits, PlanOptions(law=law))
+def planned(case: Problem) -> Score:
+    """Score our law by its samples."""
+    piece = plan_path(case.path, case.limits)
     time = np.arange(0.0, piece.law.end_time + PERIOD, PERIOD)
     q = axis_motion(piece.path, piece.law, time)[0]
     return score(case, q, PERIOD, piece.law.end_time)
@@ -77,8 +76,7 @@ def write_times(missing: bool) -> None:
 def laws() -> None:
     """Print the scores of the laws: time over the optimum, over our time where there is none."""
     made: dict[str, Callable[[Problem], Score]] = {
-        'jerk stage': lambda case: planned(case, 'optimal'),
-        'vpop': lambda case: planned(case, 'vpop'),
+        'jerk stage': planned,
         'trapezoid': runpy.run_path(str(ROOT / 'examples' / 'feed_law.py'))['scored'],
     }
     ratios: dict[str, list[float]] = {law: [] for law in (*made, 'bound without jerk')}

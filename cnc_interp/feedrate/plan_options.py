@@ -27,8 +27,6 @@ class PlanOptions:
     bound: bool = True  #: Whether the least time is computed; the law is the same.
     below_ceiling: bool = False  #: Whether the jerk stage starts below the ceiling.
     reserve: float = 0.029  #: Part of a limit left free where a law could not brake [-].
-    law: str = 'optimal'  #: 'optimal' for the jerk stage, or 'vpop'.
-    step: float = 1e-3  #: Longest step of 'vpop' [s].
 
     def finer(self) -> PlanOptions:
         return replace(
@@ -37,7 +35,6 @@ class PlanOptions:
             share=self.share / 2,
             bend=self.bend / 2,
             below_ceiling=True,
-            step=self.step / 2,
         )
 
 
@@ -59,8 +56,7 @@ class KeptCells:
 def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
     """Return the limit on the error at the tool that the settings ask for, None for none.
 
-    Raises MachineError if the model does not fit the machine, SettingsError if the law has no
-    limit.
+    Raises MachineError if the model does not fit the machine.
     """
     if settings.tool_error is None:
         return None

@@ -20,7 +20,6 @@ hardly have made it faster. One window holds a few such horizons.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -200,11 +199,6 @@ class FeedPlanner:
         self._older: Stretch | None = None
         self._failed = False
         self._problem: PlanningError | None = None
-        self._law: ModuleType = jerk_stage
-        if self.options.law == 'vpop':
-            from cnc_interp.feedrate import vpop
-
-            self._law = vpop
         self._tool = tool  # with the drives at the start of the path
         self._scan_again(self.options.window_ratio)
 
@@ -285,12 +279,10 @@ class FeedPlanner:
         if self._tool is not None:
             self._tool = self._tool.begun(known, self._start)
         state = self._table, self._start
-        stretch: Stretch | None = self._law.plan(
-            known, *state, self.options, self._kept, self._tool
-        )
+        stretch = jerk_stage.plan(known, *state, self.options, self._kept, self._tool)
         if stretch is None:
             finer = self.options.finer()
-            stretch = self._law.plan(known, *state, finer, self._kept, self._tool)
+            stretch = jerk_stage.plan(known, *state, finer, self._kept, self._tool)
         return stretch
 
     def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
@@ -339,11 +331,9 @@ class FeedPlanner:
         place, end = int(slow[np.argmin(v[slow])]), len(known.s) - 1
         before, after = cut(known, 0, place), cut(known, place, end)
         options, tool = self.options, self._tool
-        first: Stretch | None = self._law.plan(
-            before, self._table, self._start, options, self._kept, tool
-        )
+        first = jerk_stage.plan(before, self._table, self._start, options, self._kept, tool)
         afresh = None if tool is None else tool.afresh(after)
-        second: Stretch | None = self._law.plan(after, self._table, AT_REST, options, None, afresh)
+        second = jerk_stage.plan(after, self._table, AT_REST, options, None, afresh)
         if first is None or second is None:
             return None
         if not first.converged:
@@ -384,7 +374,7 @@ class FeedPlanner:
             self._older = stretch.after(cells)
             half = (1 - KEPT_PART) * s[last] + KEPT_PART * s[-1]
             ends = s[stretch.nodes[cells + 1 :]]
-            ends = ends[ends <= half] if self.options.law == 'optimal' else ends[:0]
+            ends = ends[ends <= half]
             parts = self._older.tool
             parts = None if parts is None else parts[:, : len(ends)]
             scale, m = self._older.scale[: len(ends)], self._older.coefficients[: len(ends)]

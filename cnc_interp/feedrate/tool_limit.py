@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from cnc_interp.core import MM, BoolArray, FloatArray, SettingsError
+from cnc_interp.core import MM, BoolArray, FloatArray
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.tool_error import ErrorSeries, ToolMotion, error_series
 from cnc_interp.feedrate.motion_law import MotionLaw, Stretch, axis_motion
@@ -60,8 +60,6 @@ class ToolLimit:
     def of_settings(machine: Machine, settings: Settings) -> ToolLimit:
         """Return the limit that the settings ask for; raises as ``wanted_tool``."""
         assert settings.tool_error is not None, 'there is a limit'
-        if settings.law != 'optimal':
-            raise SettingsError('tool_error', f'the law {settings.law} has none; use optimal')
         name = settings.compensation
         model = compensated_model(name, machine) if name else None
         period, height = settings.interpolation_period, settings.flank_height

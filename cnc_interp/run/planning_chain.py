@@ -25,8 +25,6 @@ from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-#: Longest step of the law 'vpop', whose step is the interpolation period otherwise [s].
-LONGEST_STEP = 1e-3
 #: Stages whose time is reported, in order.
 STAGES = ('smoothing', 'kinematics', 'collision', 'feedrate', 'interpolation')
 
@@ -53,9 +51,8 @@ class Chain:
         self._sink, self._watch, self._start = sink, Stopwatch(clock), start
         self.path = PathChain(transform or Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
-        options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
         tool = wanted_tool(machine, settings)
-        planning = Planning(limits_at(machine, period), options, tool)
+        planning = Planning(limits_at(machine, period), PlanOptions(), tool)
         self._parallel = ParallelPlanner(planning, processes) if processes > 1 else None
         self._planner: ParallelPlanner | FeedPlanner = self._parallel or planning.planner()
         self._interpolator = Interpolator(period)

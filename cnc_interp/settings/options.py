@@ -197,12 +197,6 @@ class Settings:
         kinds.Stage.OFFLINE,
         'turn of the tool of an arm about its axis; auto: the constant one of the fastest motion',
     )
-    law: str = kinds.one_of(
-        ('optimal', 'vpop'),
-        kinds.Stage.OFFLINE,
-        'how the motion law is found; vpop goes forward period by period',
-        for_comparison=True,
-    )
 
     def __post_init__(self) -> None:
         for choice in kinds.choices(self):
@@ -229,6 +223,10 @@ def values_of(settings: Settings) -> dict[str, kinds.Value]:
     return {k: str(v.resolve()) if hasattr(v, 'resolve') else v for k, v in found.items()}
 
 
+#: Choices that records of earlier versions may have, with the value that is left.
+GONE = (('law', 'optimal'),)
+
+
 def with_texts(
     settings: Settings, texts: Iterable[tuple[str, str]], need_units: bool = False
 ) -> Settings:
@@ -239,6 +237,8 @@ def with_texts(
     known = {choice.name: choice for choice in kinds.choices(settings)}
     given: dict[str, Any] = {}
     for key, text in texts:
+        if (key, text) in GONE:
+            continue
         if key not in known:
             raise SettingsError(key, f'this choice is unknown; known: {", ".join(known)}')
         if key in given:

@@ -14,7 +14,6 @@ from programs import zigzag
 
 from cnc_interp.core import FloatArray, MachineError, StreamError
 from cnc_interp.core.axis_limits import DriveLoad
-from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate
@@ -76,23 +75,21 @@ def of_setpoints(q: FloatArray, load: DriveLoad) -> FloatArray:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize('law', ['optimal', 'vpop'])
-def test_a_line_uses_the_whole_torque_and_no_more(law):
-    piece = plan_path(line_path(0.6), LOADED, PlanOptions(law=law))
+def test_a_line_uses_the_whole_torque_and_no_more():
+    piece = plan_path(line_path(0.6), LOADED)
     share, time = torques(piece)
     assert share.max() <= 1.0
     row = piece.law.piece_at(time)
     _, v, a, j = piece.law.evaluate(time, row)
     others = np.abs([v / 0.5, a / 2.5, j / 5.0])
-    if law == 'optimal':
-        # at every moment the torque, the velocity or the jerk is at its limit
-        edges = np.searchsorted(time, piece.law.time[1:])
-        most = np.maximum(share, others.max(axis=0))
-        assert np.mean(np.array([part.max() for part in np.split(most, edges)]) > 0.997) > 0.94
-    free = plan_path(line_path(0.6), XYZAC, PlanOptions(law=law))
+    # at every moment the torque, the velocity or the jerk is at its limit
+    edges = np.searchsorted(time, piece.law.time[1:])
+    most = np.maximum(share, others.max(axis=0))
+    assert np.mean(np.array([part.max() for part in np.split(most, edges)]) > 0.997) > 0.94
+    free = plan_path(line_path(0.6), XYZAC)
     # the largest acceleration that the drive reaches at every velocity, both ways
     least = np.minimum(XYZAC.max_acceleration, LOADED.limits.lowest.max_acceleration)
-    slow = plan_path(line_path(0.6), XYZAC.having(max_acceleration=least), PlanOptions(law=law))
+    slow = plan_path(line_path(0.6), XYZAC.having(max_acceleration=least))
     assert free.law.end_time < piece.law.end_time < slow.law.end_time
 
 

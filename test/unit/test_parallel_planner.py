@@ -67,10 +67,9 @@ def assert_same(one, two):
     assert one.least_time == two.least_time
 
 
-@pytest.mark.parametrize('law', ['optimal', pytest.param('vpop', marks=pytest.mark.thorough)])
 @pytest.mark.parametrize('every', [3, 100])
-def test_the_same_bits_with_processes(law, every):
-    path, options = path_with_rests(every=every), PlanOptions(law=law)
+def test_the_same_bits_with_processes(every):
+    path, options = path_with_rests(every=every), PlanOptions()
     assert path.stop[1:-1].any() == (every == 3)
     whole = plan_path(path, XYZAC, options)
     for step, processes in ((11, 2), (57, 3)):

@@ -66,19 +66,17 @@ def uses(
     ), time
 
 
-@pytest.mark.parametrize('law', ['optimal', pytest.param('vpop', marks=pytest.mark.thorough)])
 @pytest.mark.parametrize('kind', PARTS)
-def test_a_line_uses_the_limit_of_every_place_and_no_more(kind, law):
+def test_a_line_uses_the_limit_of_every_place_and_no_more(kind):
     parts = PARTS[kind]
-    piece = plan_path(line_path(0.3), placed(XYZAC, parts), PlanOptions(law=law))
+    piece = plan_path(line_path(0.3), placed(XYZAC, parts))
     use, time = uses(piece, XYZAC, parts)
     assert use.max() <= 1.0
-    if law == 'optimal':
-        # s_dddot is constant in a cell, so a limit is reached at one end of it at least
-        edges = np.searchsorted(time, piece.law.time[1:])
-        bound = np.array([part.max() for part in np.split(use.max(axis=0), edges)])
-        assert np.mean(bound > 0.998) > 0.94
-    whole = plan_path(line_path(0.3), XYZAC, PlanOptions(law=law))
+    # s_dddot is constant in a cell, so a limit is reached at one end of it at least
+    edges = np.searchsorted(time, piece.law.time[1:])
+    bound = np.array([part.max() for part in np.split(use.max(axis=0), edges)])
+    assert np.mean(bound > 0.998) > 0.94
+    whole = plan_path(line_path(0.3), XYZAC)
     assert piece.law.end_time > whole.law.end_time
 
 

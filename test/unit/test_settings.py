@@ -13,7 +13,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1Block
 from diagnostic_msgs.msg import KeyValue
 
-from cnc_interp.commands.cli import parser
+from cnc_interp.commands.cli import main, parser
 from cnc_interp.core import DEG, SettingsError, StreamError
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import add_settings, command_words, settings_from
@@ -51,7 +51,7 @@ class Settings(place.Settings):
 
 place.Settings = Settings
 
-from cnc_interp.commands.cli import parser
+from cnc_interp.commands.cli import main, parser
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import command_words, settings_from
 from cnc_interp.settings.options import filled_in, offered, settings_filled_in, values_of
@@ -113,7 +113,6 @@ OTHERS = Settings(
     line_pass=3,
     retract=0.1 / 3.0,
     plunge_feed=0.01 / 3.0,
-    law='vpop',
     spin='auto',
 )
 
@@ -219,7 +218,7 @@ def test_wrong_words_are_refused_in_units_of_the_shop(capsys):
 
 
 def test_a_goal_carries_all_choices_and_its_fields_still_count():
-    asked = replace(OTHERS, law='optimal', spin='fixed')  # the nodes have no other
+    asked = replace(OTHERS, spin='fixed')  # the nodes have no other
     assert settings_of_goal(goal_of(Path('p'), asked), replace(Settings(), **MOTION)) == asked
     goal = RunProgram.Goal(contour_tolerance=1e-4, interpolation='vector', feedrate=0.1)
     found = settings_of_goal(goal, Settings(corner_ratio=2.0))
@@ -255,12 +254,20 @@ MOTION = {c.name: getattr(OTHERS, c.name) for c in choices(Settings, *OF_NODES)}
             '2 ms',
             'interpolation_period: the nodes were started',
         ),
+        ('spin', 'auto', 'spin: the nodes have only fixed; use `plan`'),
+        ('law', 'vpop', 'law: this choice is unknown; known: contour_tolerance,'),
     ],
 )
 def test_a_goal_with_a_wrong_choice_is_refused_by_name(key, value, said):
     with pytest.raises(SettingsError) as caught:
         settings_of_goal(RunProgram.Goal(settings=[KeyValue(key=key, value=value)]), Settings())
     assert str(caught.value).startswith(said)
+
+
+def test_run_does_not_offer_what_only_plan_can_do(capsys):
+    with pytest.raises(SystemExit, match='2'):
+        main(['run', 'part.ngc', '--spin', 'auto'])
+    assert 'unknown option --spin' in capsys.readouterr().err
 
 
 def test_a_choice_that_is_given_twice_is_refused():
@@ -320,7 +327,7 @@ def test_the_form_gives_the_settings_that_filled_it_in():
     with pytest.raises(SettingsError, match='flank_height'):
         settings_filled_in(OTHERS, form | {'flank_height': 'high'})
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
-    compared = {'corner', 'parametrization', 'top', 'septic', 'law'}
+    compared = {'corner', 'parametrization', 'top', 'septic'}
     of_nodes = {'interpolation_period', 'compensation', 'learnt', 'tool_error', 'spin'}
     of_nodes |= {'scene', 'collision'}
     assert hidden == compared | of_nodes | {'retract', 'plunge_feed', 'from_line', 'line_pass'}

@@ -319,7 +319,6 @@ def test_command_line_and_proof(tmp_path, capsys):
 @pytest.mark.parametrize(
     ('words', 'said'),
     [
-        (['--law', 'vpop'], 'has none'),
         (['--compensate', 'nowhere'], 'no machine'),
         (['--compensate', 'xyz'], 'other axes'),
         (['--tool-error', '-1'], 'not between'),

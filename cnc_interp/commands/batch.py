@@ -10,8 +10,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands import parser
-from cnc_interp.commands.parser import FAILED, FINE, command, count
+from cnc_interp.commands.parser import (
+    FAILED,
+    FINE,
+    command,
+    count,
+    flag,
+    option,
+    positive,
+    workers_option,
+)
 from cnc_interp.core import HOUR, MINUTE, InterpError
 from cnc_interp.settings.command_line import add_settings, settings_from
 from cnc_interp.settings.options import DEFAULT_MACHINE
@@ -20,43 +28,67 @@ GIGABYTE = 1e9
 
 
 def add_batch_commands(commands: Any) -> None:
-    example = 'batch programs/ --machine xyzac xyzbc --out out/batch'
-    batch = parser.command(commands, batch_command, example)
-    batch.option('programs', 'folders and files of programs', Path, 'PROGRAM', nargs='+')
-    text = f'bundled machines or YAML files ({DEFAULT_MACHINE})'
-    batch.add_argument('--machine', nargs='+', default=[DEFAULT_MACHINE], metavar='M', help=text)
-    text = 'folder for table, page and results; a second start goes on from them'
-    batch.add_argument('--out', type=Path, metavar='DIR', required=True, help=text)
-    batch.workers_option('programs that are planned at the same time')
-    batch.option('--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS')
-    batch.flag('--keep-plans', 'keep the plan files of all, in DIR/plans')
-    batch.option('--rate', 'what an hour of the machine costs', parser.positive, 'COST')
-    text = 'most memory of a worker (that of the computer, shared among them)'
-    batch.option('--memory', text, parser.positive, 'GB')
-    text = 'longest planning time of a program (60 min)'
-    batch.option('--longest', text, parser.positive, 'MIN', default=60.0)
-    add_settings(batch)
-    batch.flag('--json', 'print the counts as JSON')
-
-    cluster = parser.command(
+    command(
+        commands,
+        batch_command,
+        'batch programs/ --machine xyzac xyzbc --out out/batch',
+        option('programs', 'folders and files of programs', Path, 'PROGRAM', nargs='+'),
+        option(
+            '--machine',
+            f'bundled machines or YAML files ({DEFAULT_MACHINE})',
+            metavar='M',
+            nargs='+',
+            default=[DEFAULT_MACHINE],
+        ),
+        option(
+            '--out',
+            'folder for table, page and results; a second start goes on from them',
+            Path,
+            'DIR',
+            required=True,
+        ),
+        workers_option('programs that are planned at the same time'),
+        option('--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS'),
+        flag('--keep-plans', 'keep the plan files of all, in DIR/plans'),
+        option('--rate', 'what an hour of the machine costs', positive, 'COST'),
+        option(
+            '--memory',
+            'most memory of a worker (that of the computer, shared among them)',
+            positive,
+            'GB',
+        ),
+        option(
+            '--longest',
+            'longest planning time of a program (60 min)',
+            positive,
+            'MIN',
+            default=60.0,
+        ),
+        add_settings,
+        flag('--json', 'print the counts as JSON'),
+    )
+    command(
         commands,
         cluster_command,
         'cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
         'tcp://192.168.1.10:8786',
+        option('--join', 'work for the scheduler there, start none here', metavar='ADDRESS'),
+        option(
+            '--workers',
+            'programs that are planned here at the same time, 0: a scheduler only (one for '
+            'each processor)',
+            int,
+            'N',
+            default=len(os.sched_getaffinity(0)),
+        ),
+        option(
+            '--host',
+            'address of the scheduler; whoever reaches it can run any code here (127.0.0.1)',
+            default='127.0.0.1',
+        ),
+        option('--port', 'its port, 0 for any (8786)', int, default=8786),
+        option('--dashboard', 'port of its page (8787)', int, 'PORT', default=8787),
     )
-    cluster.option('--join', 'work for the scheduler there, start none here', metavar='ADDRESS')
-    cluster.option(
-        '--workers',
-        'programs that are planned here at the same time, 0: a scheduler only (one for '
-        'each processor)',
-        int,
-        'N',
-        default=len(os.sched_getaffinity(0)),
-    )
-    text = 'address of the scheduler; whoever reaches it can run any code here (127.0.0.1)'
-    cluster.add_argument('--host', default='127.0.0.1', help=text)
-    cluster.option('--port', 'its port, 0 for any (8786)', int, default=8786)
-    cluster.option('--dashboard', 'port of its page (8787)', int, 'PORT', default=8787)
 
 
 def batch_command(options: argparse.Namespace) -> int:
@@ -99,7 +131,7 @@ def batch_command(options: argparse.Namespace) -> int:
         )
         print(f'page           {options.out / "batch.html"}')
         print(f'tables         {", ".join(str(file) for file in files)}')
-    return parser.FINE if counts[Verdict.PROVEN] == len(results) else parser.FAILED
+    return FINE if counts[Verdict.PROVEN] == len(results) else FAILED
 
 
 def cluster_command(options: argparse.Namespace) -> int:
@@ -118,30 +150,34 @@ def cluster_command(options: argparse.Namespace) -> int:
         cluster.join(options.join, options.workers, say)
     else:
         cluster.serve(options.host, options.port, options.dashboard, options.workers, say)
-    return parser.FINE
+    return FINE
 
 
 FAULTS = 5  #: Most reasons why points do not move that are printed; the page has all.
 
 
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:
-    example = 'sweep --vary place-x -50 0 50 --vary ratio 1.5 2 --out out/sweep -- plan part.ngc'
-    sweep = command(commands, sweep_command, example)
-    sweep.set_defaults(main=main, commands=commands)
-    sweep.add_argument(
-        '--vary',
-        nargs='+',
-        action='append',
-        required=True,
-        metavar=('OPTION', 'VALUE'),
-        help='an option of the command, without its dashes, and its values; with --search the '
-        'lowest and the highest',
+    sweep = command(
+        commands,
+        sweep_command,
+        'sweep --vary place-x -50 0 50 --vary ratio 1.5 2 --out out/sweep -- plan part.ngc',
+        option(
+            '--vary',
+            'an option of the command, without its dashes, and its values; with --search the '
+            'lowest and the highest',
+            metavar=('OPTION', 'VALUE'),
+            nargs='+',
+            action='append',
+            required=True,
+        ),
+        option(
+            '--search', 'search with at most N points, instead of all combinations', count, 'N'
+        ),
+        option('--out', 'folder to write', Path, 'DIR', required=True),
+        workers_option('commands that run at the same time'),
+        option('words', 'after --: the command, without --out', metavar='COMMAND', nargs='*'),
     )
-    text = 'search with at most N points, instead of all combinations'
-    sweep.option('--search', text, count, 'N')
-    sweep.option('--out', 'folder to write', Path, 'DIR', required=True)
-    sweep.workers_option('commands that run at the same time')
-    sweep.option('words', 'after --: the command, without --out', metavar='COMMAND', nargs='*')
+    sweep.set_defaults(main=main, commands=commands)
 
 
 def sweep_command(options: argparse.Namespace) -> int:

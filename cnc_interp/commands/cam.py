@@ -6,8 +6,12 @@ from typing import Any
 
 from cnc_interp.cam.strategies import STRATEGIES, StrategyOption
 from cnc_interp.commands.parser import (
-    CommandParser,
+    Adds,
     command,
+    flag,
+    machine_option,
+    number,
+    option,
     positive,
 )
 from cnc_interp.core import HOUR
@@ -17,118 +21,149 @@ def add_cam_commands(commands: Any) -> None:
     told = '5-axis iso-scallop programs from surfaces, and the simulated surface'
     cam = commands.add_parser('cam', help=told, description=f'{told}.')
     inner = cam.add_subparsers(required=True, metavar='COMMAND')
-    example = 'cam iso-scallop examples/bumps.json --stepover 2 --run --out out/bumps'
-    make = command(inner, iso_scallop_command, example)
-    make.option('surface', 'surface file (JSON), or STEP (.step, .stp)', Path, 'SURFACE')
-    _face(make, several=True)
-    text = 'do not end passes where the mill would enter other faces of a STEP file'
-    make.flag('--ignore-neighbours', text)
-    make.option('--out', 'folder to write', Path, 'DIR', required=True)
-    _mill(make)
     meanings = '; '.join(f'{name}: {one.meaning}' for name, one in STRATEGIES.items())
     first = next(iter(STRATEGIES))
-    make.add_argument(
-        '--strategy', choices=tuple(STRATEGIES), default=first, help=f'{meanings} ({first})'
+    command(
+        inner,
+        iso_scallop_command,
+        'cam iso-scallop examples/bumps.json --stepover 2 --run --out out/bumps',
+        option('surface', 'surface file (JSON), or STEP (.step, .stp)', Path, 'SURFACE'),
+        _face('faces of a STEP file, machined in this order', '+'),
+        flag(
+            '--ignore-neighbours',
+            'do not end passes where the mill would enter other faces of a STEP file',
+        ),
+        option('--out', 'folder to write', Path, 'DIR', required=True),
+        *_mill(),
+        option('--strategy', f'{meanings} ({first})', choices=tuple(STRATEGIES), default=first),
+        number('--scallop', 10.0, 'scallop height', 'UM'),
+        number(
+            '--reserve',
+            0.0,
+            'part of the scallop height for smoothing and drives: passes leave the rest',
+            'UM',
+        ),
+        *map(
+            _strategy_option,
+            dict.fromkeys(one for each in STRATEGIES.values() for one in each.options),
+        ),
+        option('--linking', 'order (zigzag)', choices=('zigzag', 'one-way'), default='zigzag'),
+        option(
+            '--format',
+            'native B-splines of tip and axis, CL data, or G-code with rotary words (spline)',
+            choices=('spline', 'cl', 'gcode'),
+            default='spline',
+        ),
+        number('--chord', 0.2, 'chord tolerance of cl and gcode', 'UM'),
+        number('--overrun', 0.5, 'length of the passes beyond the border'),
+        number('--clearance', 2.0, 'lift between passes'),
+        number('--feed', 3000.0, 'feedrate', 'MM_PER_MIN'),
+        flag('--simulate', 'cut the surface with the program (N-buffer)'),
+        flag(
+            '--run', 'plan the program, execute it on the simulated machine and cut with that too'
+        ),
+        *_cutting(),
+        flag('--json', 'print the summary as JSON'),
     )
-    make.number('--scallop', 10.0, 'scallop height', 'UM')
-    text = 'part of the scallop height for smoothing and drives: passes leave the rest'
-    make.number('--reserve', 0.0, text, 'UM')
-    for option in dict.fromkeys(one for each in STRATEGIES.values() for one in each.options):
-        _strategy_option(make, option)
-    make.option('--linking', 'order (zigzag)', choices=('zigzag', 'one-way'), default='zigzag')
-    text = 'native B-splines of tip and axis, CL data, or G-code with rotary words (spline)'
-    make.add_argument('--format', choices=('spline', 'cl', 'gcode'), default='spline', help=text)
-    make.number('--chord', 0.2, 'chord tolerance of cl and gcode', 'UM')
-    make.number('--overrun', 0.5, 'length of the passes beyond the border')
-    make.number('--clearance', 2.0, 'lift between passes')
-    make.number('--feed', 3000.0, 'feedrate', 'MM_PER_MIN')
-    make.flag('--simulate', 'cut the surface with the program (N-buffer)')
-    text = 'plan the program, execute it on the simulated machine and cut with that too'
-    make.flag('--run', text)
-    _cutting(make)
-    make.flag('--json', 'print the summary as JSON')
-
     simulate = command(
         inner,
         simulate_command,
         'cam simulate out/bumps/program.mpf --surface examples/bumps.json '
         '--spacing 0.02 --tiles out/tiles',
-    )
-    simulate.option('motion', 'part program, or folder of a plan', Path, 'PROGRAM_OR_DIR')
-    text = 'surface file (JSON), or STEP (.step, .stp)'
-    simulate.option('--surface', text, Path, 'FILE', required=True)
-    _face(simulate)
-    _mill(simulate)
-    simulate.number('--scallop', 10.0, 'scallop height of the colour scale', 'UM')
-    simulate.flag('--executed', 'take the motion of the drives, not the setpoints')
-    simulate.add_argument('--out', '--html', type=Path, metavar='FILE', help='page to write')
-    _cutting(simulate)
-    simulate.option(
-        '--tiles',
-        'cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
-        'that zooms; a second start goes on',
-        Path,
-        'DIR',
-    )
-    text = 'tiles that are cut at the same time (one for each processor)'
-    simulate.option('--workers', text, int, 'N')
-    text = 'let the workers of `cluster` cut the tiles'
-    simulate.option('--scheduler', text, metavar='ADDRESS')
-    simulate.add_argument(
-        '--device',
-        choices=('cpu', 'warp-cpu', 'cuda'),
-        default='cpu',
-        help='what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
+        option('motion', 'part program, or folder of a plan', Path, 'PROGRAM_OR_DIR'),
+        option(
+            '--surface',
+            'surface file (JSON), or STEP (.step, .stp)',
+            Path,
+            'FILE',
+            required=True,
+        ),
+        _face('face of a STEP file', 1),
+        *_mill(),
+        number('--scallop', 10.0, 'scallop height of the colour scale', 'UM'),
+        flag('--executed', 'take the motion of the drives, not the setpoints'),
+        option('--out --html', 'page to write', Path, 'FILE'),
+        *_cutting(),
+        option(
+            '--tiles',
+            'cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
+            'that zooms; a second start goes on',
+            Path,
+            'DIR',
+        ),
+        option(
+            '--workers',
+            'tiles that are cut at the same time (one for each processor)',
+            int,
+            'N',
+        ),
+        option('--scheduler', 'let the workers of `cluster` cut the tiles', metavar='ADDRESS'),
+        option(
+            '--device',
+            'what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
+            choices=('cpu', 'warp-cpu', 'cuda'),
+            default='cpu',
+        ),
+        flag('--json', 'print the figures as JSON'),
     )
     simulate.set_defaults(pool=tile_workers)
-    simulate.flag('--json', 'print the figures as JSON')
 
 
-def _strategy_option(added: CommandParser, option: StrategyOption) -> None:
-    name = f'--{option.name}'
-    if option.default is False:
-        added.flag(name, option.meaning)
-        return
-    pair = isinstance(option.metavar, tuple)
-    kind: Any = None if option.values else positive if option.positive else option.kind
-    added.add_argument(
+def _strategy_option(each: StrategyOption) -> Adds:
+    name = f'--{each.name}'
+    if each.default is False:
+        return flag(name, each.meaning)
+    return option(
         name,
-        help=option.meaning,
-        default=option.default,
-        type=kind,
-        choices=option.values or None,
-        metavar=option.metavar,
-        nargs=2 if pair else None,
+        each.meaning,
+        None if each.values else positive if each.positive else each.kind,
+        each.metavar,
+        default=each.default,
+        choices=each.values or None,
+        nargs=2 if isinstance(each.metavar, tuple) else None,
     )
 
 
-def _mill(added: CommandParser) -> None:
-    added.number('--tool-diameter', 13.0, 'diameter of the mill, 2 (R + r_c)')
-    added.number('--corner-radius', 1.5, 'corner radius r_c')
+def _mill() -> tuple[Adds, ...]:
+    return (
+        number('--tool-diameter', 13.0, 'diameter of the mill, 2 (R + r_c)'),
+        number('--corner-radius', 1.5, 'corner radius r_c'),
+    )
 
 
-def _face(added: CommandParser, several: bool = False) -> None:
-    text = 'faces of a STEP file, machined in this order' if several else 'face of a STEP file'
-    text = f'{text}; without it, all faces are listed if there are several'
-    added.add_argument('--face', type=int, metavar='N', nargs='+' if several else 1, help=text)
+def _face(meaning: str, count: int | str) -> Adds:
+    text = f'{meaning}; without it, all faces are listed if there are several'
+    return option('--face', text, int, 'N', nargs=count)
 
 
-def _cutting(added: CommandParser) -> None:
-    text = 'feed direction on the surface, from its u lines (0 deg)'
-    added.option('--direction', text, float, 'DEG', default=0.0)
-    for name in 'XYZ':
-        added.add_argument(
-            f'--turn-{name.lower()}',
-            type=float,
+def _cutting() -> tuple[Adds, ...]:
+    return (
+        option(
+            '--direction',
+            'feed direction on the surface, from its u lines (0 deg)',
+            float,
+            'DEG',
             default=0.0,
-            metavar='DEG',
-            help=f'turn of the surface about {name} as it stands on the table (0 deg)',
-        )
-    added.number('--spacing', 0.1, 'distance of the needles')
-    added.number('--margin', 2.0, 'distance from the border for the figures')
-    added.machine_option()
-    text = 'machine whose drives are the model that is compensated in the executed motion'
-    added.add_argument('--compensate', metavar='M', help=text)
+        ),
+        *(
+            option(
+                f'--turn-{name.lower()}',
+                f'turn of the surface about {name} as it stands on the table (0 deg)',
+                float,
+                'DEG',
+                default=0.0,
+            )
+            for name in 'XYZ'
+        ),
+        number('--spacing', 0.1, 'distance of the needles'),
+        number('--margin', 2.0, 'distance from the border for the figures'),
+        machine_option(),
+        option(
+            '--compensate',
+            'machine whose drives are the model that is compensated in the executed motion',
+            metavar='M',
+        ),
+    )
 
 
 def iso_scallop_command(options: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, positive
+from cnc_interp.commands.parser import FAILED, FINE, Adds, command, flag, number, option, positive
 from cnc_interp.core import MS, UM, FloatArray, InterpError
 
 if TYPE_CHECKING:
@@ -19,19 +19,29 @@ if TYPE_CHECKING:
 
 
 def add_check_commands(commands: Any) -> None:
-    check = command(commands, check_command, 'check out/pyramid')
-    check.option('directory', 'folder with plan files, or a bag', Path, 'DIR')
-    check.option('--machine', 'another machine than the plan names', metavar='M')
-    text = 'read the program again by a second reader, and compare it with the plan'
-    check.option('--program', text, Path, 'FILE')
-    check.flag('--json', 'print the proof as JSON')
-
-    report = command(commands, report_command, 'report out/pyramid --out out/pyramid.html')
-    report.option('directory', 'folder with plan files, or a bag', Path, 'DIR')
-    report.option('--machine', 'another machine than the plan names', metavar='M')
-    text = 'page to write (DIR/report.html)'
-    report.add_argument('--out', '--html', type=Path, metavar='FILE', help=text)
-    report.option('--compare', 'another plan to set beside the first', Path, 'DIR2')
+    command(
+        commands,
+        check_command,
+        'check out/pyramid',
+        option('directory', 'folder with plan files, or a bag', Path, 'DIR'),
+        option('--machine', 'another machine than the plan names', metavar='M'),
+        option(
+            '--program',
+            'read the program again by a second reader, and compare it with the plan',
+            Path,
+            'FILE',
+        ),
+        flag('--json', 'print the proof as JSON'),
+    )
+    command(
+        commands,
+        report_command,
+        'report out/pyramid --out out/pyramid.html',
+        option('directory', 'folder with plan files, or a bag', Path, 'DIR'),
+        option('--machine', 'another machine than the plan names', metavar='M'),
+        option('--out --html', 'page to write (DIR/report.html)', Path, 'FILE'),
+        option('--compare', 'another plan to set beside the first', Path, 'DIR2'),
+    )
 
 
 def check_command(options: Namespace) -> int:
@@ -158,26 +168,38 @@ def run_files(
 
 
 def add_bag_commands(commands: Any) -> None:
-    record = command(commands, record_command, 'record out/shift1')
-    record.option('bag', 'folder to create', Path, 'BAG')
-    namespace_option(record, 'of the nodes')
+    command(
+        commands,
+        record_command,
+        'record out/shift1',
+        option('bag', 'folder to create', Path, 'BAG'),
+        _namespace('of the nodes'),
+    )
+    command(
+        commands,
+        replay_command,
+        'replay out/shift1 --compare',
+        option('bag', 'folder of the bag', Path, 'BAG'),
+        flag(
+            '--compare',
+            'compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same',
+        ),
+        option('--machine', 'another machine than the bag names', metavar='M'),
+        option('--rate', 'times as fast as it was (1)', positive, 'X', default=1.0),
+        flag('--clock', 'publish the time of the bag too'),
+        _namespace('to publish in'),
+    )
+    command(
+        commands,
+        repair_command,
+        'repair out/shift1 --out out/shift1-repaired',
+        option('bag', 'folder of the bag', Path, 'BAG'),
+        option('--out', 'folder to create', Path, 'NEW', required=True),
+    )
 
-    replay = command(commands, replay_command, 'replay out/shift1 --compare')
-    replay.option('bag', 'folder of the bag', Path, 'BAG')
-    text = 'compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same'
-    replay.flag('--compare', text)
-    replay.option('--machine', 'another machine than the bag names', metavar='M')
-    replay.option('--rate', 'times as fast as it was (1)', positive, 'X', default=1.0)
-    replay.flag('--clock', 'publish the time of the bag too')
-    namespace_option(replay, 'to publish in')
 
-    repair = command(commands, repair_command, 'repair out/shift1 --out out/shift1-repaired')
-    repair.option('bag', 'folder of the bag', Path, 'BAG')
-    repair.option('--out', 'folder to create', Path, 'NEW', required=True)
-
-
-def namespace_option(added: Any, purpose: str) -> None:
-    added.option('--namespace', f'ROS namespace {purpose} (/)', metavar='NS', default='/')
+def _namespace(purpose: str) -> Adds:
+    return option('--namespace', f'ROS namespace {purpose} (/)', metavar='NS', default='/')
 
 
 def record_command(options: Namespace) -> int:
@@ -216,11 +238,19 @@ def repair_command(options: Namespace) -> int:
 
 
 def add_problems_command(commands: Any) -> None:
-    problems = command(commands, problems_command, 'problems --score out/motions')
-    problems.option('--write', 'write each path and its limits as .npz', Path, 'DIR')
-    text = 'score motions: NAME.npz with position, or NAME.csv, a row each period'
-    problems.option('--score', text, Path, 'DIR')
-    problems.number('--period', 1.0, 'period of the motions', 'MS')
+    command(
+        commands,
+        problems_command,
+        'problems --score out/motions',
+        option('--write', 'write each path and its limits as .npz', Path, 'DIR'),
+        option(
+            '--score',
+            'score motions: NAME.npz with position, or NAME.csv, a row each period',
+            Path,
+            'DIR',
+        ),
+        number('--period', 1.0, 'period of the motions', 'MS'),
+    )
 
 
 def problems_command(options: Namespace) -> int:

@@ -16,7 +16,7 @@ from cnc_interp.commands.batch import add_batch_commands, add_sweep_command
 from cnc_interp.commands.cam import add_cam_commands
 from cnc_interp.commands.check import add_bag_commands, add_check_commands, add_problems_command
 from cnc_interp.commands.operate import add_operate_commands
-from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser, command
+from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser, command, option
 from cnc_interp.commands.plan import add_panel_command, add_plan_command, add_run_command
 from cnc_interp.core import InterpError
 
@@ -121,9 +121,12 @@ def parser() -> argparse.ArgumentParser:
         add_problems_command,
     ):
         add(commands)
-    example = 'completion bash > ~/.local/share/bash-completion/completions/cnc-interp'
-    completion = command(commands, completion_command, example)
-    completion.add_argument('kind', choices=('bash', 'zsh', 'man'), help='shell, or man')
+    command(
+        commands,
+        completion_command,
+        'completion bash > ~/.local/share/bash-completion/completions/cnc-interp',
+        option('kind', 'shell, or man', choices=('bash', 'zsh', 'man')),
+    )
     return top
 
 

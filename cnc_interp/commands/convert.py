@@ -4,30 +4,33 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FINE, command, write
+from cnc_interp.commands.parser import FINE, command, number, option, program_options, write
 from cnc_interp.core import MM
 from cnc_interp.settings.command_line import settings_from
 
 
 def add_convert_command(commands: Any) -> None:
-    example = 'convert examples/pyramid.apt --to siemens-bspline --out pyramid.mpf'
-    convert = command(commands, convert_command, example)
-    convert.program_options()
-    convert.add_argument(
-        '--to',
-        choices=('siemens-bspline', 'gcode', 'cl'),
-        required=True,
-        help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
+    command(
+        commands,
+        convert_command,
+        'convert examples/pyramid.apt --to siemens-bspline --out pyramid.mpf',
+        *program_options(),
+        option(
+            '--to',
+            'the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
+            choices=('siemens-bspline', 'gcode', 'cl'),
+            required=True,
+        ),
+        option('--out', 'file to write (the terminal)', Path, 'FILE'),
+        option(
+            '--join',
+            'native curves continue their neighbours by a small polynomial on their second '
+            'points, or by sliding the tool axis along their top curves (polynomial)',
+            choices=('polynomial', 'parametrization'),
+            default='polynomial',
+        ),
+        number('--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path'),
     )
-    convert.option('--out', 'file to write (the terminal)', Path, 'FILE')
-    convert.add_argument(
-        '--join',
-        choices=('polynomial', 'parametrization'),
-        default='polynomial',
-        help='native curves continue their neighbours by a small polynomial on their second '
-        'points, or by sliding the tool axis along their top curves (polynomial)',
-    )
-    convert.number('--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path')
 
 
 def convert_command(options: Namespace) -> int:

@@ -1,38 +1,61 @@
 """Drives and run times of a machine, measured on recorded runs."""
 
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FINE, command
+from cnc_interp.commands.parser import FINE, command, machine_option, option
 from cnc_interp.core import UM, InterpError
 from cnc_interp.settings.command_line import add_settings, settings_from
 
 
 def add_identify_commands(commands: Any) -> None:
-    excite = command(commands, excite_command, 'excite --machine xyzac_tired --out out/excite.ngc')
-    excite.machine_option()
-    excite.option('--out', 'program to write', Path, 'FILE', required=True)
-
-    identify = command(commands, identify_command, 'identify out/excited --out my_machine.yaml')
-    identify.option('bag', 'bag of a run of that program', Path, 'BAG')
-    identify.option('--machine', 'another machine than the bag names', metavar='M')
-    identify.option('--out', 'machine file to write', Path, 'FILE', required=True)
-    identify.option('--html', 'page to write (default: FILE with .html)', Path, 'FILE')
-
-    example = 'fit-limits part_blocks.csv part.nc --machine mine.yaml --out fitted.yaml'
-    fit = command(commands, fit_limits_command, example)
-    told = 'CSV file time_s,block and the program that ran; further pairs may follow'
-    fit.add_argument('pairs', nargs='+', type=Path, metavar='TRACE PROGRAM', help=told)
-    fit.machine_option()
-    add_settings(fit, live=True)
-    fit.option('--out', 'machine file to write', Path, 'FILE', required=True)
-    fit.option('--html', 'page to write (default: FILE with .html)', Path, 'FILE')
-
-    learn = command(commands, learn_command, 'learn out/bag --out out/learnt.npz')
-    learn.option('bag', 'bag of a run with --compensate, with its feedback', Path, 'BAG')
-    text = 'file to write, for `run PROGRAM --compensate MODEL --learnt FILE`'
-    learn.add_argument('--out', type=Path, required=True, metavar='FILE', help=text)
+    command(
+        commands,
+        excite_command,
+        'excite --machine xyzac_tired --out out/excite.ngc',
+        machine_option(),
+        option('--out', 'program to write', Path, 'FILE', required=True),
+    )
+    command(
+        commands,
+        identify_command,
+        'identify out/excited --out my_machine.yaml',
+        option('bag', 'bag of a run of that program', Path, 'BAG'),
+        option('--machine', 'another machine than the bag names', metavar='M'),
+        option('--out', 'machine file to write', Path, 'FILE', required=True),
+        option('--html', 'page to write (default: FILE with .html)', Path, 'FILE'),
+    )
+    command(
+        commands,
+        fit_limits_command,
+        'fit-limits part_blocks.csv part.nc --machine mine.yaml --out fitted.yaml',
+        option(
+            'pairs',
+            'CSV file time_s,block and the program that ran; further pairs may follow',
+            Path,
+            'TRACE PROGRAM',
+            nargs='+',
+        ),
+        machine_option(),
+        partial(add_settings, live=True),
+        option('--out', 'machine file to write', Path, 'FILE', required=True),
+        option('--html', 'page to write (default: FILE with .html)', Path, 'FILE'),
+    )
+    command(
+        commands,
+        learn_command,
+        'learn out/bag --out out/learnt.npz',
+        option('bag', 'bag of a run with --compensate, with its feedback', Path, 'BAG'),
+        option(
+            '--out',
+            'file to write, for `run PROGRAM --compensate MODEL --learnt FILE`',
+            Path,
+            'FILE',
+            required=True,
+        ),
+    )
 
 
 def excite_command(options: Namespace) -> int:

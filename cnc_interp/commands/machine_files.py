@@ -5,34 +5,54 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FINE, command, write
+from cnc_interp.commands.parser import FINE, command, flag, option, write
 from cnc_interp.core import InterpError
 
 HAL_LIBRARY = Path('/usr/share/linuxcnc/hallib')  #: HAL files of LinuxCNC itself.
 
 
 def add_machine_commands(commands: Any) -> None:
-    urdf = command(commands, urdf_command, 'urdf xyzac --out xyzac.urdf')
-    urdf.option('machine', 'bundled machine or YAML file', metavar='M')
-    text = (
-        'scene whose bodies are drawn instead of simple shapes; STL files beside --out hold them'
+    command(
+        commands,
+        urdf_command,
+        'urdf xyzac --out xyzac.urdf',
+        option('machine', 'bundled machine or YAML file', metavar='M'),
+        option(
+            '--scene',
+            'scene whose bodies are drawn instead of simple shapes; STL files beside --out hold '
+            'them',
+            Path,
+            'FILE',
+        ),
+        flag('--frames', 'links and joints only, without shapes: markers_node draws the bodies'),
+        option('--out', 'file to write (default: print it)', Path, 'FILE'),
     )
-    urdf.option('--scene', text, Path, 'FILE')
-    urdf.flag('--frames', 'links and joints only, without shapes: markers_node draws the bodies')
-    urdf.option('--out', 'file to write (default: print it)', Path, 'FILE')
-
-    example = 'hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal'
-    hal = command(commands, hal_command, example)
-    hal.option('machine', 'bundled machine or YAML file', metavar='M')
-    text = 'HAL files of the LinuxCNC configuration, in the order of its INI file'
-    hal.add_argument('files', type=Path, nargs='+', metavar='FILE', help=text)
-    text = 'letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)'
-    hal.add_argument('--joints', metavar='LETTERS', help=text)
-    hal.option('--out', 'file to write (default: print it)', Path, 'FILE')
-
-    ini = command(commands, import_ini_command, 'import-ini my_mill.ini --out my_mill.yaml')
-    ini.option('file', 'INI file of LinuxCNC 2.8 or later', Path, 'FILE')
-    ini.option('--out', 'machine file to write (default: print it)', Path, 'MACHINE')
+    command(
+        commands,
+        hal_command,
+        'hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal',
+        option('machine', 'bundled machine or YAML file', metavar='M'),
+        option(
+            'files',
+            'HAL files of the LinuxCNC configuration, in the order of its INI file',
+            Path,
+            'FILE',
+            nargs='+',
+        ),
+        option(
+            '--joints',
+            'letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)',
+            metavar='LETTERS',
+        ),
+        option('--out', 'file to write (default: print it)', Path, 'FILE'),
+    )
+    command(
+        commands,
+        import_ini_command,
+        'import-ini my_mill.ini --out my_mill.yaml',
+        option('file', 'INI file of LinuxCNC 2.8 or later', Path, 'FILE'),
+        option('--out', 'machine file to write (default: print it)', Path, 'MACHINE'),
+    )
 
 
 def urdf_command(options: Namespace) -> int:

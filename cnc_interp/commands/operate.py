@@ -12,110 +12,164 @@ from cnc_interp.commands.parser import (
     BAD_INPUT,
     FAILED,
     FINE,
+    Adds,
     command,
+    flag,
+    nodes_options,
+    option,
     positive,
 )
 from cnc_interp.core import DEG, INCH, MM, UM, InterpError
 
 
 def add_operate_commands(commands: Any) -> None:
-    jog = command(
+    shown = flag('--json', 'print the result as JSON'), *nodes_options()
+    command(
         commands,
         jog_command,
         'jog X 10 A -5 (by 10 mm and -5 deg); cnc-interp jog --to X 0 Y 0; '
         'cnc-interp jog --pose X 0 Y 0 Z 50 I 0 J 0 K 1',
+        option(
+            'words',
+            'letter of an axis, and distance or position [mm, deg]; may be repeated',
+            metavar='AXIS VALUE',
+            nargs='*',
+        ),
+        flag('--to', 'the values are positions of the axes'),
+        flag(
+            '--pose',
+            'the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
+            'the tool axis; what is not named stays',
+        ),
+        option(
+            '--tool',
+            'move along the tool instead, away from the workpiece where positive',
+            float,
+            'MM',
+            default=0.0,
+        ),
+        option(
+            '--speed',
+            'part of the largest velocities of the axes (100)',
+            positive,
+            'PERCENT',
+            default=100.0,
+        ),
+        *shown,
     )
-    text = 'letter of an axis, and distance or position [mm, deg]; may be repeated'
-    jog.add_argument('words', nargs='*', metavar='AXIS VALUE', help=text)
-    jog.flag('--to', 'the values are positions of the axes')
-    jog.flag(
-        '--pose',
-        'the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
-        'the tool axis; what is not named stays',
+    command(
+        commands,
+        offsets_command,
+        'offsets; cnc-interp offsets G55 X 140 Y -70 --use',
+        option('offset', 'G54 to G59.3, or G92', nargs='?', default=''),
+        option(
+            'words',
+            'letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
+            'offset about Z [deg]; may be repeated',
+            metavar='AXIS VALUE',
+            nargs='*',
+        ),
+        flag('--clear', 'remove the values it had before'),
+        flag('--use', 'make it the active one'),
+        *shown,
     )
-    text = 'move along the tool instead, away from the workpiece where positive'
-    jog.add_argument('--tool', type=float, default=0.0, metavar='MM', help=text)
-    text = 'part of the largest velocities of the axes (100)'
-    jog.option('--speed', text, positive, 'PERCENT', default=100.0)
-    jog.flag('--json', 'print the result as JSON')
-    jog.nodes_options()
-
-    example = 'offsets; cnc-interp offsets G55 X 140 Y -70 --use'
-    offsets = command(commands, offsets_command, example)
-    offsets.option('offset', 'G54 to G59.3, or G92', nargs='?', default='')
-    offsets.option(
-        'words',
-        'letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
-        'offset about Z [deg]; may be repeated',
-        metavar='AXIS VALUE',
-        nargs='*',
+    command(
+        commands,
+        tools_command,
+        'tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load',
+        option('number', 'number of the tool', int, nargs='?'),
+        option('--length', 'its length', float, 'MM'),
+        option('--radius', 'its radius', float, 'MM'),
+        option(
+            '--corner-radius',
+            'radius of its corner: 0 for a flat end, the radius for a ball',
+            float,
+            'MM',
+        ),
+        option('--length-wear', 'what is added to its length', float, 'MM'),
+        option('--radius-wear', 'what is added to its radius', float, 'MM'),
+        option('--pocket', 'its place in the tool changer; 0: none', int),
+        option('--remark', 'what tells it from others', metavar='TEXT'),
+        option(
+            '--import',
+            'take the tools of a tool.tbl of LinuxCNC, or of a CSV file',
+            Path,
+            'FILE',
+            dest='from_file',
+        ),
+        option('--export', 'write the table, as CSV or tool.tbl by its name', Path, 'FILE'),
+        flag('--inch', 'lengths in these files are in inches'),
+        flag('--remove', 'take it out of the table'),
+        flag('--load', 'it is in the spindle; 0: none is'),
+        *shown,
     )
-    offsets.flag('--clear', 'remove the values it had before')
-    offsets.flag('--use', 'make it the active one')
-    example = 'tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load'
-    tools = command(commands, tools_command, example)
-    tools.option('number', 'number of the tool', int, nargs='?')
-    tools.option('--length', 'its length', float, 'MM')
-    tools.option('--radius', 'its radius', float, 'MM')
-    text = 'radius of its corner: 0 for a flat end, the radius for a ball'
-    tools.option('--corner-radius', text, float, 'MM')
-    tools.option('--length-wear', 'what is added to its length', float, 'MM')
-    tools.option('--radius-wear', 'what is added to its radius', float, 'MM')
-    tools.option('--pocket', 'its place in the tool changer; 0: none', int)
-    tools.option('--remark', 'what tells it from others', metavar='TEXT')
-    text = 'take the tools of a tool.tbl of LinuxCNC, or of a CSV file'
-    tools.option('--import', text, Path, 'FILE', dest='from_file')
-    tools.option('--export', 'write the table, as CSV or tool.tbl by its name', Path, 'FILE')
-    tools.flag('--inch', 'lengths in these files are in inches')
-    tools.flag('--remove', 'take it out of the table')
-    tools.flag('--load', 'it is in the spindle; 0: none is')
-    example = 'touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55'
-    touch = command(commands, touch_off_command, example)
-    text = 'letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated'
-    touch.add_argument('words', nargs='+', metavar='AXIS VALUE', help=text)
-    touch.option('--offset', 'the offset (the active one)', metavar='G', default='')
-    for added in (offsets, tools, touch):
-        added.flag('--json', 'print the result as JSON')
-        added.nodes_options()
-
-    home = command(commands, home_command, 'home; cnc-interp home Z')
-    home.option('axes', 'letter of an axis', metavar='AXIS', nargs='*')
-    home.nodes_options()
-
-    example = "mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)"
-    mdi = command(commands, mdi_command, example)
-    mdi.option('lines', 'a line of G-code', metavar='LINE', nargs='*')
-    mdi.flag('--json', 'print the results as JSON')
-    mdi.nodes_options()
-
-    example = 'probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3'
-    probe = command(commands, probe_command, example)
-    probe.option('cycle', 'what to find', metavar='CYCLE', nargs='?', default='')
-    text = 'what the cycle is told, and its value; may be repeated'
-    probe.option('words', text, metavar='NAME VALUE', nargs='*')
-    probe.nodes_options()
-
-    example = 'probe-rotary --ball 25 --tip 3 --out my_machine.yaml'
-    rotary = command(commands, probe_rotary_command, example)
-    rotary.option('--ball', 'diameter of the ball', positive, 'MM', required=True)
-    rotary.option('--tip', 'diameter of the ball of the probe', positive, 'MM', required=True)
-    text = 'length of the probe beyond the tip in the machine file (0)'
-    rotary.option('--longer', text, float, 'MM', default=0.0)
-    rotary.option('--beside', 'way before a touch (5)', positive, 'MM', default=5.0)
-    rotary.option('--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0)
-    rotary.option('--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0)
-    for name, default in (('primary', (-30.0, 30.0)), ('secondary', (-90.0, 0.0, 90.0))):
-        angles = ' '.join(f'{angle:g}' for angle in default)
-        rotary.add_argument(
-            f'--{name}',
+    command(
+        commands,
+        touch_off_command,
+        'touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55',
+        option(
+            'words',
+            'letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated',
+            metavar='AXIS VALUE',
             nargs='+',
-            type=float,
-            default=default,
-            metavar='DEG',
-            help=f'positions of the {name} axis ({angles})',
-        )
-    rotary.option('--out', 'machine file to write', Path, 'FILE')
-    rotary.nodes_options()
+        ),
+        option('--offset', 'the offset (the active one)', metavar='G', default=''),
+        *shown,
+    )
+    command(
+        commands,
+        home_command,
+        'home; cnc-interp home Z',
+        option('axes', 'letter of an axis', metavar='AXIS', nargs='*'),
+        *nodes_options(),
+    )
+    command(
+        commands,
+        mdi_command,
+        "mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)",
+        option('lines', 'a line of G-code', metavar='LINE', nargs='*'),
+        flag('--json', 'print the results as JSON'),
+        *nodes_options(),
+    )
+    command(
+        commands,
+        probe_command,
+        'probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3',
+        option('cycle', 'what to find', metavar='CYCLE', nargs='?', default=''),
+        option(
+            'words',
+            'what the cycle is told, and its value; may be repeated',
+            metavar='NAME VALUE',
+            nargs='*',
+        ),
+        *nodes_options(),
+    )
+    command(
+        commands,
+        probe_rotary_command,
+        'probe-rotary --ball 25 --tip 3 --out my_machine.yaml',
+        option('--ball', 'diameter of the ball', positive, 'MM', required=True),
+        option('--tip', 'diameter of the ball of the probe', positive, 'MM', required=True),
+        option(
+            '--longer',
+            'length of the probe beyond the tip in the machine file (0)',
+            float,
+            'MM',
+            default=0.0,
+        ),
+        option('--beside', 'way before a touch (5)', positive, 'MM', default=5.0),
+        option('--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0),
+        option('--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0),
+        _angles('primary', -30.0, 30.0),
+        _angles('secondary', -90.0, 0.0, 90.0),
+        option('--out', 'machine file to write', Path, 'FILE'),
+        *nodes_options(),
+    )
+
+
+def _angles(name: str, *default: float) -> Adds:
+    text = f'positions of the {name} axis ({" ".join(f"{angle:g}" for angle in default)})'
+    return option(f'--{name}', text, float, 'DEG', nargs='+', default=default)
 
 
 def pairs(words: list[str]) -> dict[str, float]:

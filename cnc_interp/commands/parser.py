@@ -6,6 +6,8 @@ import argparse
 import difflib
 import math
 import os
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -56,52 +58,67 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f'{self.prog}: {message}\n')
 
-    def option(
-        self, name: str, meaning: str, kind: Any = None, metavar: Any = None, **more: Any
-    ) -> None:
-        """Add an option or, without dashes, an argument; ``kind`` reads its text."""
-        self.add_argument(name, help=meaning, type=kind, metavar=metavar, **more)
 
-    def flag(self, name: str, meaning: str) -> None:
-        self.add_argument(name, action='store_true', help=meaning)
-
-    def number(self, name: str, default: float, meaning: str, unit: str = 'MM') -> None:
-        text = f'{meaning} ({default:g} {unit.lower().replace("_per_", "/")})'
-        self.option(name, text, positive, unit, default=default)
-
-    def workers_option(self, meaning: str) -> None:
-        here = len(os.sched_getaffinity(0))
-        text = f'{meaning} (one for each processor)'
-        self.option('--workers', text, count, 'N', default=here)
-
-    def machine_option(self) -> None:
-        text = f'bundled machine or YAML file ({DEFAULT_MACHINE})'
-        self.option('--machine', text, metavar='M', default=DEFAULT_MACHINE)
-
-    def program_options(self, live: bool = False) -> None:
-        self.option('program', 'G-code or CL data file', program_file, 'PROGRAM')
-        self.machine_option()
-        add_settings(self, live)
-        self.flag('--json', 'print the summary as JSON')
-
-    def nodes_options(self) -> None:
-        self.option('--namespace', 'ROS namespace of the nodes (/)', metavar='NS', default='/')
-        self.option('--domain', 'ROS domain (ROS_DOMAIN_ID)', int, 'N')
-
-    def drives_option(self) -> None:
-        text = (
-            f'drives of the machine, with their parameters of machine_node. {CHOICE} (simulated)'
-        )
-        self.option('--drives', text, drives, 'KIND[,PARAMETER=VALUE ...]', default={})
-
-    def page_options(self) -> None:
-        self.option('--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1')
-        self.option('--port', 'its port, 0 for any free one (8650)', int, default=8650)
-        text = 'holds what commands from the page need (default: a random token is printed)'
-        self.option('--token-file', text, Path, 'FILE')
+#: Adds an option, an argument, or the choices of the settings to a parser.
+Adds = Callable[[argparse.ArgumentParser], object]
 
 
-def command(commands: Any, function: Any, example: str) -> CommandParser:
+def option(name: str, meaning: str, kind: Any = None, metavar: Any = None, **more: Any) -> Adds:
+    """Return an option or, without dashes, an argument; ``kind`` reads its text."""
+    names = name.split()
+    return lambda to: to.add_argument(*names, help=meaning, type=kind, metavar=metavar, **more)
+
+
+def flag(name: str, meaning: str) -> Adds:
+    return lambda to: to.add_argument(name, action='store_true', help=meaning)
+
+
+def number(name: str, default: float, meaning: str, unit: str = 'MM') -> Adds:
+    text = f'{meaning} ({default:g} {unit.lower().replace("_per_", "/")})'
+    return option(name, text, positive, unit, default=default)
+
+
+def workers_option(meaning: str) -> Adds:
+    here = len(os.sched_getaffinity(0))
+    return option('--workers', f'{meaning} (one for each processor)', count, 'N', default=here)
+
+
+def machine_option() -> Adds:
+    text = f'bundled machine or YAML file ({DEFAULT_MACHINE})'
+    return option('--machine', text, metavar='M', default=DEFAULT_MACHINE)
+
+
+def program_options(live: bool = False) -> tuple[Adds, ...]:
+    return (
+        option('program', 'G-code or CL data file', program_file, 'PROGRAM'),
+        machine_option(),
+        partial(add_settings, live=live),
+        flag('--json', 'print the summary as JSON'),
+    )
+
+
+def nodes_options() -> tuple[Adds, ...]:
+    return (
+        option('--namespace', 'ROS namespace of the nodes (/)', metavar='NS', default='/'),
+        option('--domain', 'ROS domain (ROS_DOMAIN_ID)', int, 'N'),
+    )
+
+
+def drives_option() -> Adds:
+    text = f'drives of the machine, with their parameters of machine_node. {CHOICE} (simulated)'
+    return option('--drives', text, drives, 'KIND[,PARAMETER=VALUE ...]', default={})
+
+
+def page_options() -> tuple[Adds, ...]:
+    text = 'holds what commands from the page need (default: a random token is printed)'
+    return (
+        option('--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1'),
+        option('--port', 'its port, 0 for any free one (8650)', int, default=8650),
+        option('--token-file', text, Path, 'FILE'),
+    )
+
+
+def command(commands: Any, function: Any, example: str, *options: Adds) -> CommandParser:
     """Add a command by the name of its function; the docstring there says what it is for."""
     name = function.__name__.removesuffix('_command').replace('_', '-')
     told = str(function.__doc__)
@@ -110,6 +127,8 @@ def command(commands: Any, function: Any, example: str) -> CommandParser:
         name, help=purpose, description=told, epilog=f'example: cnc-interp {example}'
     )
     added.set_defaults(command=function)
+    for add in options:
+        add(added)
     return added
 
 

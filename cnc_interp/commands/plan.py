@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cnc_interp.commands import parser
+from cnc_interp.commands.parser import flag, option
 from cnc_interp.core import HOUR, MM, InterpError
 from cnc_interp.settings.command_line import settings_from
 
@@ -24,22 +25,38 @@ WIDEST = 100  #: Largest width of a drawing in text [characters].
 
 
 def add_plan_command(commands: Any) -> None:
-    plan = parser.command(commands, plan_command, 'plan examples/pyramid.apt --out out/pyramid')
-    plan.program_options()
-    plan.option('--out', 'folder for the plan files', Path, 'DIR', required=True)
-    plan.flag('--look', 'draw the feed profile in text, as a terminal always gets it')
-    for axis in 'xyz':
-        text = f'clamp the workpiece so far from its usual place, along {axis.upper()}'
-        plan.option(f'--place-{axis}', text, float, 'MM', default=0.0)
-    plan.option(
-        '--limits',
-        'of an arm, also limits that its files do not have; every report names them',
-        choices=('known', 'guess'),
-        default='known',
+    parser.command(
+        commands,
+        plan_command,
+        'plan examples/pyramid.apt --out out/pyramid',
+        *parser.program_options(),
+        option('--out', 'folder for the plan files', Path, 'DIR', required=True),
+        flag('--look', 'draw the feed profile in text, as a terminal always gets it'),
+        *(
+            option(
+                f'--place-{axis.lower()}',
+                f'clamp the workpiece so far from its usual place, along {axis}',
+                float,
+                'MM',
+                default=0.0,
+            )
+            for axis in 'XYZ'
+        ),
+        option(
+            '--limits',
+            'of an arm, also limits that its files do not have; every report names them',
+            choices=('known', 'guess'),
+            default='known',
+        ),
+        option(
+            '--turn',
+            'clamp it turned about Z on the table; C counts from the turned workpiece',
+            float,
+            'DEG',
+            default=0.0,
+        ),
+        parser.workers_option('processes that plan a long program between its exact stops'),
     )
-    text = 'clamp it turned about Z on the table; C counts from the turned workpiece'
-    plan.option('--turn', text, float, 'DEG', default=0.0)
-    plan.workers_option('processes that plan a long program between its exact stops')
 
 
 def plan_command(options: argparse.Namespace) -> int:
@@ -182,42 +199,52 @@ def sketch(directory: Path) -> str:
 
 
 def add_run_command(commands: Any) -> None:
-    run = parser.command(commands, run_command, 'run examples/pyramid.apt --out out/pyramid')
-    run.program_options(live=True)
-    run.drives_option()
-    run.add_argument(
-        '--then',
-        type=Path,
-        action='append',
-        default=[],
-        metavar='PROGRAM',
-        help='a further program, which waits for the end of the one before; may be repeated',
+    parser.command(
+        commands,
+        run_command,
+        'run examples/pyramid.apt --out out/pyramid',
+        *parser.program_options(live=True),
+        parser.drives_option(),
+        option(
+            '--then',
+            'a further program, which waits for the end of the one before; may be repeated',
+            Path,
+            'PROGRAM',
+            action='append',
+            default=[],
+        ),
+        option('--out', 'write what the machine executed as plan files', Path, 'DIR'),
+        option('--record', 'record all messages of the run into a bag', Path, 'BAG'),
+        flag(
+            '--pass-stops',
+            'go on without cycle start: at M0, M1 and single blocks, before the plunge of '
+            '--from-line, and with simulated drives at M6 without a tool changer',
+        ),
+        flag('--panel', 'the operator page beside it, until Ctrl-C'),
+        *parser.page_options(),
     )
-    run.option('--out', 'write what the machine executed as plan files', Path, 'DIR')
-    run.option('--record', 'record all messages of the run into a bag', Path, 'BAG')
-    run.flag(
-        '--pass-stops',
-        'go on without cycle start: at M0, M1 and single blocks, before the plunge of '
-        '--from-line, and with simulated drives at M6 without a tool changer',
-    )
-    run.flag('--panel', 'the operator page beside it, until Ctrl-C')
-    run.page_options()
 
 
 def add_panel_command(commands: Any) -> None:
-    panel = parser.command(commands, panel_command, 'panel examples/pyramid.ngc')
-    panel.option(
-        'program', 'program to lay on the desk', parser.program_file, 'PROGRAM', nargs='?'
+    parser.command(
+        commands,
+        panel_command,
+        'panel examples/pyramid.ngc',
+        option('program', 'program to lay on the desk', parser.program_file, 'PROGRAM', nargs='?'),
+        parser.machine_option(),
+        parser.drives_option(),
+        option('--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE'),
+        option('--scene', 'YAML file of bodies that must keep apart', Path, 'FILE'),
+        option(
+            '--programs',
+            'folder whose programs the page lists, opens and saves (that of PROGRAM, or this one)',
+            Path,
+            'FOLDER',
+        ),
+        flag('--attach', 'join nodes that run already; start none'),
+        *parser.nodes_options(),
+        *parser.page_options(),
     )
-    panel.machine_option()
-    panel.drives_option()
-    panel.option('--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE')
-    panel.option('--scene', 'YAML file of bodies that must keep apart', Path, 'FILE')
-    text = 'folder whose programs the page lists, opens and saves (that of PROGRAM, or this one)'
-    panel.option('--programs', text, Path, 'FOLDER')
-    panel.flag('--attach', 'join nodes that run already; start none')
-    panel.nodes_options()
-    panel.page_options()
 
 
 def run_command(options: argparse.Namespace) -> int:

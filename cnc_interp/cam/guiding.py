@@ -13,7 +13,7 @@ from contourpy import contour_generator
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import label
 
-from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint
+from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint, demand
 from cnc_interp.core import MM, UM, FloatArray, cross, dot, norm, scaled, unit
 
 CELLS = 200  #: Cells per direction in which a curve is sought.
@@ -117,18 +117,17 @@ class GuidingPlanes:
             if len(line) > 3:
                 lines.append(line)
                 lengths.append(self._length(line))
-        if not lines:
-            raise SurfaceError(f'the guiding plane at {plane / MM:.3f} mm misses the surface')
+        demand(lines, f'the guiding plane at {plane / MM:.3f} mm misses the surface')
         # Only what the strips of passes can reach counts, if there is any.
         reachable = 0.5 * self.extension
         near = [self._length(x[surface.contains(x[:, 0], x[:, 1], reachable)]) for x in lines]
         lengths = near if any(near) else lengths
         longest = int(np.argmax(lengths))
-        if sum(lengths) > 1.2 * lengths[longest]:
-            raise SurfaceError(
-                f'the guiding plane at {plane / MM:.3f} mm meets the surface in {len(lines)} '
-                'curves; split the surface or choose another direction of the passes'
-            )
+        demand(
+            sum(lengths) <= 1.2 * lengths[longest],
+            f'the guiding plane at {plane / MM:.3f} mm meets the surface in {len(lines)} '
+            'curves; split the surface or choose another direction of the passes',
+        )
         return self._fit(lines[longest], plane)
 
     def _length(self, line: FloatArray) -> float:

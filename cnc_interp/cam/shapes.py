@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import NdBSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
-from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.surface import Surface, demand
 from cnc_interp.core import MM, BoolArray, FloatArray, norm
 from cnc_interp.core.kernels import njit
 from cnc_interp.program.geometry.subdivide import ragged
@@ -20,8 +20,7 @@ class Graph(Surface):
     """A surface z = h(x, y) over a rectangle with u = x and v = y; the normal points up."""
 
     def __init__(self, size: tuple[float, float]):
-        if not min(size) > 0.0:
-            raise SurfaceError('size must be two positive lengths')
+        demand(min(size) > 0.0, 'size must be two positive lengths')
         x, y = 0.5 * size[0], 0.5 * size[1]
         super().__init__(((-x, x), (-y, y)))
 
@@ -46,8 +45,10 @@ class Bumps(Graph):
     def __init__(self, size: tuple[float, float], bumps: Any):
         super().__init__(size)
         self.bumps = np.asarray(bumps, float)
-        if self.bumps.ndim != 2 or self.bumps.shape[1] != 4 or not np.all(self.bumps[:, 3] > 0.0):
-            raise SurfaceError('bumps must be rows of x, y, height and a positive width')
+        demand(
+            self.bumps.ndim == 2 and self.bumps.shape[1] == 4 and np.all(self.bumps[:, 3] > 0.0),
+            'bumps must be rows of x, y, height and a positive width',
+        )
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
         total = [np.zeros_like(x) for _ in range(6)]
@@ -65,8 +66,10 @@ class Cap(Graph):
 
     def __init__(self, size: tuple[float, float], radius: float, blend: float, angle: float):
         super().__init__(size)
-        if not (radius > 0.0 and blend > 0.0 and 0.0 < angle < 0.5 * np.pi):
-            raise SurfaceError('radius and blend must be positive, angle between 0 and 90 deg')
+        demand(
+            radius > 0.0 and blend > 0.0 and 0.0 < angle < 0.5 * np.pi,
+            'radius and blend must be positive, angle between 0 and 90 deg',
+        )
         self.radius, self.blend = radius, blend
         self.join = radius * np.sin(angle)
         self.foot = (radius + blend) * np.sin(angle)
@@ -96,8 +99,10 @@ class Cylinder(Surface):
     """A part of a cylinder about y; u is the angle from the vertical and v = y."""
 
     def __init__(self, radius: float, angle: float, length: float, hollow: bool = False):
-        if not (radius > 0.0 and length > 0.0 and 0.0 < angle < 2.0 * np.pi):
-            raise SurfaceError('radius and length must be positive, angle between 0 and 360 deg')
+        demand(
+            radius > 0.0 and length > 0.0 and 0.0 < angle < 2.0 * np.pi,
+            'radius and length must be positive, angle between 0 and 360 deg',
+        )
         self.radius, self.up = radius, -1.0 if hollow else 1.0
         super().__init__(((-0.5 * angle, 0.5 * angle), (-0.5 * length, 0.5 * length)))
 
@@ -119,8 +124,10 @@ class Torus(Surface):
     """A part of a torus: u runs along its circle about y, v about that circle."""
 
     def __init__(self, ring: float, radius: float, u_angle: float, v_angle: float):
-        if not (ring >= 0.0 and radius > 0.0 and u_angle > 0.0 and 0.0 < v_angle < np.pi):
-            raise SurfaceError('radii and angles of a sphere or torus must be positive')
+        demand(
+            ring >= 0.0 and radius > 0.0 and u_angle > 0.0 and 0.0 < v_angle < np.pi,
+            'radii and angles of a sphere or torus must be positive',
+        )
         self.ring, self.radius = ring, radius
         super().__init__(((-0.5 * u_angle, 0.5 * u_angle), (-0.5 * v_angle, 0.5 * v_angle)))
 
@@ -157,17 +164,19 @@ class BSplineSurface(Surface):
         flip: bool = False,
     ):
         for t, k, n, name in zip(knots, degree, control_points.shape, 'uv', strict=False):
-            if k < 2:
-                raise SurfaceError(f'degree {k} in {name}: curvatures need degree 2 or more')
-            if len(t) != n + k + 1:
-                raise SurfaceError(
-                    f'{len(t)} knots in {name} for {n} control points of degree {k}; '
-                    f'there must be {n + k + 1}'
-                )
-            if np.any(np.diff(t) < 0.0) or not t[k] < t[n]:
-                raise SurfaceError(f'the knots in {name} must not fall')
-        if control_points.ndim != 3 or control_points.shape[2] != 3:
-            raise SurfaceError('control points must have the shape (n_u, n_v, 3)')
+            demand(k >= 2, f'degree {k} in {name}: curvatures need degree 2 or more')
+            demand(
+                len(t) == n + k + 1,
+                f'{len(t)} knots in {name} for {n} control points of degree {k}; '
+                f'there must be {n + k + 1}',
+            )
+            demand(
+                not np.any(np.diff(t) < 0.0) and t[k] < t[n], f'the knots in {name} must not fall'
+            )
+        demand(
+            control_points.ndim == 3 and control_points.shape[2] == 3,
+            'control points must have the shape (n_u, n_v, 3)',
+        )
         self.spline = NdBSpline(tuple(np.asarray(t, float) for t in knots), control_points, degree)
         u, v = ((float(t[k]), float(t[-k - 1])) for t, k in zip(knots, degree, strict=True))
         super().__init__((u, v), flip)
@@ -175,14 +184,15 @@ class BSplineSurface(Surface):
     @staticmethod
     def through(points: FloatArray, flip: bool = False) -> BSplineSurface:
         points = np.asarray(points, float)
-        if points.ndim != 3 or min(points.shape[:2]) < 4 or points.shape[2] != 3:
-            raise SurfaceError('a surface through points needs a grid of at least 4 x 4 points')
+        demand(
+            points.ndim == 3 and min(points.shape[:2]) >= 4 and points.shape[2] == 3,
+            'a surface through points needs a grid of at least 4 x 4 points',
+        )
         knots = []
         control = points
         for axis in (0, 1):
             steps = np.mean(norm(np.diff(points, axis=axis)), axis=1 - axis)
-            if not np.all(steps > 0.0):
-                raise SurfaceError('neighbouring rows of points coincide')
+            demand(np.all(steps > 0.0), 'neighbouring rows of points coincide')
             at = np.concatenate([[0.0], np.cumsum(steps)]) / np.sum(steps)
             spline = make_interp_spline(at, control, k=3, axis=axis)
             knots.append(spline.t)
@@ -234,8 +244,7 @@ class Trimmed(Surface):
         edges = joined(edges)
         corners = np.concatenate(edges)
         (u0, v0), (u1, v1) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-        if not (u0 < u1 and v0 < v1):
-            raise SurfaceError('the boundary encloses nothing')
+        demand(u0 < u1 and v0 < v1, 'the boundary encloses nothing')
         super().__init__(((u0, u1), (v0, v1)))
         self.surface, self.sign = surface, surface.sign
         #: Straight pieces of the boundary, shape (k, 4): u and v of both ends.
@@ -274,8 +283,7 @@ def joined(edges: Sequence[FloatArray]) -> list[FloatArray]:
     size = np.maximum(np.ptp(corners, axis=0), 1e-12)
     ends = np.array([row for edge in edges for row in (edge[0], edge[-1])])
     near = cKDTree(ends / size).query_ball_point(ends / size, GAP)
-    if any(len(group) < 2 for group in near):
-        raise SurfaceError('the boundary is not closed')
+    demand(not any(len(group) < 2 for group in near), 'the boundary is not closed')
     found = []
     for k, edge in enumerate(edges):
         closed = np.array(edge, float)

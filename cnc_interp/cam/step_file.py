@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.cam import shapes
 from cnc_interp.cam.gouge import Neighbours
-from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
+from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError, demand
 from cnc_interp.core import MM, FloatArray, norm
 
 #: OpenCASCADE's classes of surfaces and their names in lists and messages.
@@ -141,8 +141,10 @@ class StepFace:
         low, high = np.transpose(surface.domain)
         if self.kind == SPLINE:
             # A patch that closes on itself may have edges in its next turn.
-            if (uv < low - 1e-6 * (high - low)).any() or (uv > high + 1e-6 * (high - low)).any():
-                raise SurfaceError('the face crosses the seam; split it in the CAD system')
+            demand(
+                (np.abs(uv - 0.5 * (low + high)) <= (0.5 + 1e-6) * (high - low)).all(),
+                'the face crosses the seam; split it in the CAD system',
+            )
             return uv
         (u0, u1), (v0, v1) = np.reshape(self.bounds, (2, 2)).tolist()
         share = (uv - [u0, v0]) / [u1 - u0, v1 - v0]
@@ -150,8 +152,7 @@ class StepFace:
         if self.kind in ANALYTIC:
             return np.asarray(guess)
         u, v, away = surface.project(self.points(uv), guess[:, 0], guess[:, 1])
-        if not np.all(np.abs(away) < ON_BORDER):
-            raise SurfaceError('the boundary does not lie on the surface')
+        demand(np.all(np.abs(away) < ON_BORDER), 'the boundary does not lie on the surface')
         return np.stack([u, v], axis=1)
 
     def _analytic(self) -> Surface:
@@ -192,8 +193,9 @@ class StepFace:
     def _limits(self) -> Domain:
         u0, u1, v0, v1 = self.bounds
         # Either kind of parameter: 1e-7 mm or 1e-7 rad.
-        if u1 - u0 < 1e-7 or v1 - v0 < 1e-7:
-            raise SurfaceError('the boundary spans no rectangle of parameters')
+        demand(
+            u1 - u0 >= 1e-7 and v1 - v0 >= 1e-7, 'the boundary spans no rectangle of parameters'
+        )
         round_u, round_v = self.geometry.IsUPeriodic(), self.geometry.IsVPeriodic()
         if (round_u and u1 - u0 > self.geometry.UPeriod() - 1e-6) or (
             round_v and v1 - v0 > self.geometry.VPeriod() - 1e-6
@@ -283,12 +285,11 @@ def read_step_part(path: Path, numbers: Sequence[int], note: Callable[[str], Non
         raise SurfaceError('\n'.join([heading, *lines]))
     surfaces = {}
     for number in numbers or [1]:
-        if not 1 <= number <= len(faces):
-            raise SurfaceError(
-                f'{path}: there is no face {number}; the faces are numbered from 1 to {len(faces)}'
-            )
-        if number in surfaces:
-            raise SurfaceError(f'{path}: face {number} is named twice')
+        demand(
+            1 <= number <= len(faces),
+            f'{path}: there is no face {number}; the faces are numbered from 1 to {len(faces)}',
+        )
+        demand(number not in surfaces, f'{path}: face {number} is named twice')
         try:
             surfaces[number] = faces[number - 1].surface()
         except SurfaceError as error:
@@ -321,8 +322,7 @@ def _faces(path: Path, note: Callable[[str], None]) -> list[StepFace]:
         path.open('rb').close()
     except OSError as error:
         raise SurfaceError(f'{path}: cannot be opened: {error.strerror}') from error
-    if not path.is_file():
-        raise SurfaceError(f'{path}: it is not a file')
+    demand(path.is_file(), f'{path}: it is not a file')
     try:
         from OCP.collections import Sequence_TCollection_AsciiString as Names
         from OCP.IFSelect import IFSelect_ReturnStatus
@@ -338,23 +338,24 @@ def _faces(path: Path, note: Callable[[str], None]) -> list[StepFace]:
     for printer in list(messenger.Printers()):  # they write to standard output
         messenger.RemovePrinter(printer)
     reader = STEPControl_Reader()
-    if reader.ReadFile(str(path)) != IFSelect_ReturnStatus.IFSelect_RetDone:
-        raise SurfaceError(f'{path}: is not a complete STEP file')
+    demand(
+        reader.ReadFile(str(path)) == IFSelect_ReturnStatus.IFSelect_RetDone,
+        f'{path}: is not a complete STEP file',
+    )
     if faults := _faults(reader, reader.WS().ModelCheckList(True)):
         raise SurfaceError(f'{path}: {faults[0]}')
     lengths = Names()
     reader.FileUnits(lengths, Names(), Names())
-    if reader.TransferRoots() == 0:
-        raise SurfaceError(f'{path}: holds no shape of a product')
-    if not all(name.ToCString() for name in lengths):
-        raise SurfaceError(f'{path}: has no unit of length (LENGTH_UNIT)')
+    demand(reader.TransferRoots() != 0, f'{path}: holds no shape of a product')
+    demand(
+        all(name.ToCString() for name in lengths), f'{path}: has no unit of length (LENGTH_UNIT)'
+    )
     faults = _faults(reader, reader.WS().TransferReader().LastCheckList())
     found: dict[Any, Any] = {}
     for face in _parts(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_FACE):
         shape = face.Located(TopLoc_Location())
         found.setdefault(shape.TShape(), shape)
-    if not found:
-        raise SurfaceError(f'{path}: {(faults or ["holds no face"])[0]}')
+    demand(found, f'{path}: {(faults or ["holds no face"])[0]}')
     if faults:
         note(f'{path}: {len(faults)} entities were left out; {faults[0]}')
     return [StepFace(shape) for shape in found.values()]

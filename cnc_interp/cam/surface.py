@@ -71,6 +71,12 @@ class SurfaceError(InterpError):
     """A surface that cannot be machined as requested; the message names place and reason."""
 
 
+def demand(holds: object, text: str) -> None:
+    """Raise SurfaceError unless what a surface needs holds."""
+    if not holds:
+        raise SurfaceError(text)
+
+
 class Surface(ABC):
     """A regular parametric surface over a rectangle; it continues a little beyond its border."""
 
@@ -148,8 +154,7 @@ class Surface(ABC):
         u, v = self.grid(SAMPLES, SAMPLES)
         point = self.at(u, v)
         area = norm(cross(point.d_u, point.d_v))
-        if not np.isfinite(point.position).all():
-            raise SurfaceError('the surface has points that are not finite')
+        demand(np.isfinite(point.position).all(), 'the surface has points that are not finite')
         # One cell beyond a trimming boundary: no part between the samples is missed.
         middle = point.position[SAMPLES // 2], point.position[:, SAMPLES // 2]
         cell = max(float(norm(np.diff(line, axis=0)).max()) for line in middle)

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from cnc_interp.core import DEG, INCH, M_PER_MIN, MM, REV, REV_PER_MIN, MachineError
+from cnc_interp.machine_model.demands import demand
 from cnc_interp.machine_model.machine import from_mapping
 
 JERK = 10.0  #: Jerk where the INI has none, over the acceleration [1/s].
@@ -64,23 +65,25 @@ def _sections(text: str) -> Sections:
 
 def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
     traj, kins = dict(ini.get('TRAJ', ())), dict(ini.get('KINS', ()))
-    if 'KINEMATICS' not in kins:
-        raise MachineError('no KINEMATICS in [KINS]; give the INI file of LinuxCNC 2.8 or later')
+    demand(
+        'KINEMATICS' in kins, 'no KINEMATICS in [KINS]; give the INI file of LinuxCNC 2.8 or later'
+    )
     name, *words = kins['KINEMATICS'].split()
-    if name not in KINEMATICS:
-        raise MachineError(f'{name} is not known; known: {", ".join(KINEMATICS)}', 'KINEMATICS')
+    demand(
+        name in KINEMATICS, f'{name} is not known; known: {", ".join(KINEMATICS)}', 'KINEMATICS'
+    )
     given = next((w.partition('=')[2] for w in words if w.startswith('coordinates=')), '')
     joints = (given or traj.get('COORDINATES', '')).replace(' ', '').upper()
     rotary = KINEMATICS[name]
     letters = list(dict.fromkeys(joints))
     if name == 'trivkins' and (fourth := set(letters) - set('XYZ')) in ({'A'}, {'B'}):
         (rotary,) = fourth
-    if sorted(letters) != sorted(f'XYZ{rotary}'):
-        raise MachineError(
-            f'{name} with {joints or "no axes"}: known are XYZ{rotary or ", XYZA and XYZB"}; '
-            'write the file from an example in config/machines',
-            'COORDINATES',
-        )
+    demand(
+        sorted(letters) == sorted(f'XYZ{rotary}'),
+        f'{name} with {joints or "no axes"}: known are XYZ{rotary or ", XYZA and XYZB"}; '
+        'write the file from an example in config/machines',
+        'COORDINATES',
+    )
     linear, angular = _unit(traj, 'LINEAR_UNITS', 'mm'), _unit(traj, 'ANGULAR_UNITS', 'deg')
     notes: list[str] = []
     limits = {}
@@ -121,8 +124,7 @@ def _limits(
 
     def values(key: str, need: bool = True) -> list[float]:
         found = [_number(source[key], letter, key) for source in sources if key in source]
-        if need and not found:
-            raise MachineError(f'missing in [AXIS_{letter}] and its [JOINT_n]', key)
+        demand(not need or found, f'missing in [AXIS_{letter}] and its [JOINT_n]', key)
         return found
 
     speed, turn = (M_PER_MIN, 1.0) if straight else (REV_PER_MIN, REV)
@@ -149,8 +151,7 @@ def _number(text: str, letter: str, key: str) -> float:
         value = float(text.split('#')[0].split(';')[0])
     except ValueError:
         value = float('nan')
-    if not isfinite(value):
-        raise MachineError(f'must be a number, not {text!r}', f'{key} of {letter}')
+    demand(isfinite(value), f'must be a number, not {text!r}', f'{key} of {letter}')
     return value
 
 

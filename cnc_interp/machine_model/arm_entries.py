@@ -12,6 +12,7 @@ import numpy as np
 from cnc_interp.core import DEG, MM, FloatArray, MachineError
 from cnc_interp.core.axis_limits import AxisLimits
 from cnc_interp.core.small_files import UnreadableError, read_yaml, small_text
+from cnc_interp.machine_model.demands import demand
 from cnc_interp.machine_model.machine_entries import (
     PLAUSIBLE,
     number,
@@ -50,19 +51,23 @@ def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, .
         here, name, kind = here @ _origin(joint), joint.get('name', ''), joint.get('type')
         if kind == 'fixed':
             continue
-        if kind not in ('revolute', 'continuous') or joint.find('mimic') is not None:
-            why = 'is neither fixed nor a plain revolute joint; only those are supported yet'
-            raise MachineError(f'joint {name} of the URDF {why}', 'urdf')
+        demand(
+            kind in ('revolute', 'continuous') and joint.find('mimic') is None,
+            f'joint {name} of the URDF is neither fixed nor a plain revolute joint; only those '
+            'are supported yet',
+            'urdf',
+        )
         along = joint.find('axis')
         direction = _words('1 0 0' if along is None else along.get('xyz', ''), name, 3)
         length = float(np.linalg.norm(direction))
-        if not length > 0.0:
-            raise MachineError(f'joint {name} of the URDF has an axis of no length', 'urdf')
+        demand(length > 0.0, f'joint {name} of the URDF has an axis of no length', 'urdf')
         names.append(name)
         lines.append([*here[:3, :3] @ direction / length, *here[:3, 3]])
-    if len(names) != 6:
-        why = f'{len(names)} joints turn between {base} and {flange}; an arm has 6 for now'
-        raise MachineError(why, 'urdf')
+    demand(
+        len(names) == 6,
+        f'{len(names)} joints turn between {base} and {flange}; an arm has 6 for now',
+        'urdf',
+    )
     tool = here @ _pose(content, 'tcp', flange, parents)
     limits, guessed = _limits(content, folder, names, elements)
     home = np.array(numbers(content.get('home_deg', [0.0] * 6), 6, 'home_deg')) * DEG
@@ -85,8 +90,7 @@ def _robot(content: dict[str, Any], folder: Path) -> ElementTree.Element:
 
 
 def _frame(content: dict[str, Any], key: str) -> str:
-    if not isinstance(content.get(key), str):
-        raise MachineError('missing; name a link of the URDF', key)
+    demand(isinstance(content.get(key), str), 'missing; name a link of the URDF', key)
     return str(content[key])
 
 
@@ -100,8 +104,11 @@ def _words(text: str, joint: str, count: int) -> FloatArray:
         values = np.array([float(word) for word in text.split()])
     except ValueError:
         values = np.zeros(0)
-    if len(values) != count or not np.isfinite(values).all():
-        raise MachineError(f'joint {joint} of the URDF: {text!r} must be {count} numbers', 'urdf')
+    demand(
+        len(values) == count and np.isfinite(values).all(),
+        f'joint {joint} of the URDF: {text!r} must be {count} numbers',
+        'urdf',
+    )
     return values
 
 
@@ -110,8 +117,11 @@ def _chain(
 ) -> list[ElementTree.Element]:
     joints, at = list[ElementTree.Element](), link
     while at != base:
-        if at not in parents or len(joints) > len(parents):
-            raise MachineError(f'no joints of the URDF lead from {base} to {link}', 'urdf')
+        demand(
+            at in parents and len(joints) <= len(parents),
+            f'no joints of the URDF lead from {base} to {link}',
+            'urdf',
+        )
         joints.insert(0, parents[at])
         at = _link(parents[at], 'parent')
     return joints
@@ -128,18 +138,18 @@ def _pose(
     content: dict[str, Any], key: str, link: str, parents: dict[str, ElementTree.Element]
 ) -> FloatArray:
     """Return the pose of a frame in a link: numbers, or the name of a link fixed to it."""
-    given = content.get(key)
+    given: Any = content.get(key)
     if isinstance(given, str):
         found = np.eye(4)
         for joint in _chain(parents, link, given):
-            if joint.get('type') != 'fixed':
-                raise MachineError(f'{given} is not fixed to {link}', key)
+            demand(joint.get('type') == 'fixed', f'{given} is not fixed to {link}', key)
             found = found @ _origin(joint)
         return found
-    if not isinstance(given, dict):
-        raise MachineError(
-            'missing; name a link, or give {xyz_mm: [x, y, z], rpy_deg: [r, p, y]}', key
-        )
+    demand(
+        isinstance(given, dict),
+        'missing; name a link, or give {xyz_mm: [x, y, z], rpy_deg: [r, p, y]}',
+        key,
+    )
     require_known(given, ('xyz_mm', 'rpy_deg'), key)
     xyz, rpy = (numbers(given.get(k, [0.0] * 3), 3, f'{key}.{k}') for k in ('xyz_mm', 'rpy_deg'))
     return _matrix(np.array(xyz) * MM, np.array(rpy) * DEG)
@@ -163,10 +173,11 @@ def _limits(
 ) -> tuple[tuple[AxisLimits, ...], tuple[str, ...]]:
     """Return the limits of the joints: MoveIt's ``joint_limits``, else those of the URDF."""
     given, guess = content.get('joint_limits'), content.get('limits') == 'guess'
-    if content.get('limits', 'guess') != 'guess':
-        raise MachineError(
-            "may only be 'guess'; joint_limits holds the limits of an arm", 'limits'
-        )
+    demand(
+        content.get('limits', 'guess') == 'guess',
+        "may only be 'guess'; joint_limits holds the limits of an arm",
+        'limits',
+    )
     if isinstance(given, str):
         try:
             given = read_yaml(folder / given)
@@ -174,14 +185,12 @@ def _limits(
             raise MachineError(f'cannot be read: {problem}', 'joint_limits') from None
         given = given.get('joint_limits') if isinstance(given, dict) else None
     if not isinstance(given, dict):
-        if not guess:
-            raise MachineError('missing; name the joint_limits.yaml of MoveIt', 'joint_limits')
+        demand(guess, 'missing; name the joint_limits.yaml of MoveIt', 'joint_limits')
         given = {}
     limits, guessed = list[AxisLimits](), list[str]()
     for number_, name in enumerate(names, start=1):
         own, where = given.get(name) or {}, f'joint_limits.{name}'
-        if not isinstance(own, dict):
-            raise MachineError('must hold max_velocity and others', where)
+        demand(isinstance(own, dict), 'must hold max_velocity and others', where)
         told = elements[name].find('limit')
         urdf = {} if told is None else told.attrib
         found = list[float]()
@@ -192,9 +201,11 @@ def _limits(
             if value is None and guess and found:
                 value = found[-1] / GUESS[k - 1]
                 guessed.append(f'J{number_} {order}')
-            if value is None:
-                why = f'max_{order} (has_{order}_limits) is missing; or plan with --limits guess'
-                raise MachineError(why, where)
+            demand(
+                value is not None,
+                f'max_{order} (has_{order}_limits) is missing; or plan with --limits guess',
+                where,
+            )
             found.append(number(value, f'{where}.max_{order}', *bounds))
         travel = np.array([-inf, inf])
         if elements[name].get('type') == 'revolute':
@@ -204,8 +215,7 @@ def _limits(
             travel = np.clip(
                 numbers(given_ends, 2, f'{where}.min_position, max_position'), *travel
             )
-        if not travel[0] < travel[1]:
-            raise MachineError('its lowest position must be below its highest', where)
+        demand(travel[0] < travel[1], 'its lowest position must be below its highest', where)
         velocity, acceleration, jerk = found
         ends = float(travel[0]), float(travel[1])
         limits.append(AxisLimits(velocity, acceleration, jerk, ends))

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from cnc_interp.core import ARCSEC, DEG, MM, UM, MachineError
+from cnc_interp.core import ARCSEC, DEG, MM, UM
 from cnc_interp.core.axis_limits import AxisLimits, DriveLoad
+from cnc_interp.machine_model.demands import demand
 from cnc_interp.machine_model.machine_entries import (
     entries_by_axis,
     number,
@@ -25,26 +26,28 @@ def drive_loads(
     given = entries_by_axis(content, 'loads', names, 'inertia, torque and friction')
     for j, where, values in given:
         keys = LINEAR_KEYS if linear[j] else ROTARY_KEYS
-        if not isinstance(values, dict) or not set(keys[:2]) <= set(values) <= set(keys):
-            raise MachineError(f'give {keys[0]} and {keys[1]}; {", ".join(keys[2:])}', where)
+        demand(
+            isinstance(values, dict) and set(keys[:2]) <= set(values) <= set(keys),
+            f'give {keys[0]} and {keys[1]}; {", ".join(keys[2:])}',
+            where,
+        )
         inertia, torque = (number(values[key], f'{where}.{key}', *PLAUSIBLE) for key in keys[:2])
         coulomb, viscous = (_friction(values.get(key, 0.0), f'{where}.{key}') for key in keys[2:])
         load = DriveLoad(inertia, torque, coulomb, viscous)
         fastest = limits[j].max_velocity
-        if not load.least_acceleration(fastest) > 0.0:
-            taken = coulomb + viscous * fastest
-            raise MachineError(
-                f'{torque:g} is too little: at the largest velocity friction takes {taken:g}',
-                f'{where}.{keys[1]}',
-            )
+        demand(
+            load.least_acceleration(fastest) > 0.0,
+            f'{torque:g} is too little: at the largest velocity friction takes '
+            f'{coulomb + viscous * fastest:g}',
+            f'{where}.{keys[1]}',
+        )
         found[j] = load
     return found
 
 
 def _friction(value: Any, key: str) -> float:
     friction = numbers([value], 1, key)[0]
-    if friction < 0.0:
-        raise MachineError(f'must not be negative, not {value}', key)
+    demand(friction >= 0.0, f'must not be negative, not {value}', key)
     return friction
 
 
@@ -117,29 +120,37 @@ def axis_drives(
 def _drive(values: Any, where: str, linear: bool, load: DriveLoad | None) -> AxisDrive:
     keys = [key_and_unit(entry, linear) for entry in ENTRIES]
     needed = [key for key, _ in keys[:NEEDED]]
-    if not isinstance(values, dict) or not set(needed) <= set(values):
-        raise MachineError(f'give {", ".join(needed)}', where)
+    demand(
+        isinstance(values, dict) and set(needed) <= set(values), f'give {", ".join(needed)}', where
+    )
     require_known(values, dict(keys), where)
     found = {}
     for entry, (key, unit) in zip(ENTRIES, keys, strict=True):
         if key not in values:
             continue
         value = numbers([values[key]], 1, f'{where}.{key}')[0]
-        if not entry.low <= value <= entry.high:
-            raise MachineError(
-                f'{value:g} is outside {entry.low:g} ... {entry.high:g}; is the unit right?',
-                f'{where}.{key}',
-            )
+        demand(
+            entry.low <= value <= entry.high,
+            f'{value:g} is outside {entry.low:g} ... {entry.high:g}; is the unit right?',
+            f'{where}.{key}',
+        )
         found[entry.field] = value * unit
     drive = AxisDrive(**found)
     static, _ = key_and_unit(ENTRIES[4], linear)
     stribeck, _ = key_and_unit(ENTRIES[5], linear)
-    if drive.static and (load is None or not load.coulomb <= drive.static):
-        raise MachineError(
-            'must be at least the Coulomb friction under loads', f'{where}.{static}'
-        )
-    if bool(drive.static) != bool(drive.stribeck_velocity):
-        raise MachineError(f'give {static} and {stribeck}, or neither', where)
-    if bool(drive.mode_frequency) and not drive.mode_damping > 0.0:
-        raise MachineError('must be positive', f'{where}.mode_damping')
+    demand(
+        not drive.static or (load is not None and load.coulomb <= drive.static),
+        'must be at least the Coulomb friction under loads',
+        f'{where}.{static}',
+    )
+    demand(
+        bool(drive.static) == bool(drive.stribeck_velocity),
+        f'give {static} and {stribeck}, or neither',
+        where,
+    )
+    demand(
+        not drive.mode_frequency or drive.mode_damping > 0.0,
+        'must be positive',
+        f'{where}.mode_damping',
+    )
     return drive

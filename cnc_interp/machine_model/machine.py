@@ -24,6 +24,7 @@ from cnc_interp.machine_model.axis_drives import (
     axis_drives,
     drive_loads,
 )
+from cnc_interp.machine_model.demands import demand
 from cnc_interp.machine_model.machine_entries import Macro, control, homing, macros, standstill
 from cnc_interp.machine_model.signals import Signals, signals
 
@@ -205,8 +206,10 @@ class Machine:
         except (OSError, UnreadableError) as problem:
             text = ' '.join(str(problem).split())
             raise MachineError(f'{path}: cannot be read as YAML: {text}') from None
-        if not isinstance(content, dict):
-            raise MachineError(f'{path}: not a machine file; see config/machines/xyzac.yaml')
+        demand(
+            isinstance(content, dict),
+            f'{path}: not a machine file; see config/machines/xyzac.yaml',
+        )
         try:
             machine = from_mapping(content, path.parent)
         except MachineError as problem:
@@ -249,8 +252,7 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
     if 'urdf' in content:
         return _arm(content, folder)
     rotary = content.get('rotary') or {}
-    if not isinstance(rotary, dict):
-        raise MachineError('must hold primary and secondary', 'rotary')
+    demand(isinstance(rotary, dict), 'must hold primary and secondary', 'rotary')
     names = ['X', 'Y', 'Z'] + [
         str(entries.entry(rotary, key, 'rotary', 'name'))
         for key in ('primary', 'secondary')
@@ -259,12 +261,14 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
     linear = [name in 'XYZ' for name in names]
     extra = entries.extra_axes(content)
     names, linear = names + list(extra), linear + [True] * len(extra)
-    limits = content.get('limits')
-    if not isinstance(limits, dict):
-        raise MachineError('missing; it holds velocity, acceleration, jerk of each axis', 'limits')
+    limits: Any = content.get('limits')
+    demand(
+        isinstance(limits, dict),
+        'missing; it holds velocity, acceleration, jerk of each axis',
+        'limits',
+    )
     for name in limits:
-        if name not in names:
-            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
+        demand(name in names, f'the machine has no such axis (axes: {" ".join(names)})', name)
     found = [
         entries.LOCKED_LIMITS
         if not linear[i] and entries.is_locked(rotary, names[i])
@@ -320,6 +324,11 @@ def _arm(content: dict[str, Any], folder: Path) -> Machine:
     )
 
 
+def _write(content: dict[str, Any], file: Path) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, yaml.safe_dump(content, sort_keys=False))
+
+
 DIGITS = 9  #: Digits after the point of the new offset [mm].
 
 
@@ -336,14 +345,15 @@ def placed_machine(
     ``turn`` [deg]. Raises MachineError if no table of the machine turns about Z.
     """
     machine = Machine.load(name)
-    if machine.arm is not None:
-        raise MachineError(f'{machine.name} is an arm; move `part` in its machine file instead')
+    demand(
+        machine.arm is None, f'{machine.name} is an arm; move `part` in its machine file instead'
+    )
     x, y, _ = machine.rotary_direction[1]
-    if turn and not (machine.has_rotary and not machine.rotary_on_head[1] and x == y == 0.0):
-        raise MachineError(
-            f'no rotary axis of {machine.name} turns the workpiece about Z; leave out --turn, and '
-            'turn the program instead'
-        )
+    demand(
+        not turn or (machine.has_rotary and not machine.rotary_on_head[1] and x == y == 0.0),
+        f'no rotary axis of {machine.name} turns the workpiece about Z; leave out --turn, and '
+        'turn the program instead',
+    )
     content = deepcopy(read_yaml(find_machine_file(name)))
     x, y, z = (1e3 * old + more for old, more in zip(machine.offsets[0], shift, strict=True))
     c, s = cos(radians(turn)), sin(radians(turn))
@@ -352,8 +362,7 @@ def placed_machine(
         content['rotary']['workpiece_offset_mm'] = offset
     else:
         content['workpiece_zero_mm'] = offset
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, yaml.safe_dump(content, sort_keys=False))
+    _write(content, file)
     return Machine.load(file)
 
 
@@ -361,14 +370,15 @@ def with_guessed_limits(name: str, file: Path) -> Machine:
     """Write the file of an arm whose missing limits are guessed; read it."""
     found = find_machine_file(name)
     content = deepcopy(read_yaml(found))
-    if not isinstance(content, dict) or 'urdf' not in content:
-        raise MachineError(f'{found}: --limits guess is for arms; write the limits into the file')
+    demand(
+        isinstance(content, dict) and 'urdf' in content,
+        f'{found}: --limits guess is for arms; write the limits into the file',
+    )
     for key in ('urdf', 'joint_limits'):
         if isinstance(content.get(key), str):
             content[key] = str((found.parent / content[key]).resolve())
     content['limits'] = 'guess'
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, yaml.safe_dump(content, sort_keys=False))
+    _write(content, file)
     return Machine.load(file)
 
 
@@ -379,5 +389,4 @@ def with_geometry(name: str, file: Path, geometry: Machine) -> None:
     for key, offset in zip(entries.GEOMETRY, offsets, strict=True):
         if key in content['rotary'] or offset.any():
             content['rotary'][key] = [round(1e3 * float(x), DIGITS) for x in offset]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, yaml.safe_dump(content, sort_keys=False))
+    _write(content, file)

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray, MachineError
+from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray
 from cnc_interp.core.axis_limits import AxisLimits, LimitsByPlace
 from cnc_interp.core.small_files import is_number
+from cnc_interp.machine_model.demands import demand
 from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 
@@ -59,8 +60,7 @@ PLAUSIBLE = {
 def section(content: dict[str, Any], name: str, known: Collection[str]) -> dict[str, Any]:
     """Return a section of the file, empty without it; refuse entries that it cannot hold."""
     given = content.get(name) or {}
-    if not isinstance(given, dict):
-        raise MachineError(f'may hold {", ".join(known)}', name)
+    demand(isinstance(given, dict), f'may hold {", ".join(known)}', name)
     require_known(given, known, name)
     return given
 
@@ -69,8 +69,11 @@ def control(content: dict[str, Any]) -> dict[str, str]:
     given = section(content, 'control', CONTROL)
     known = {choice.name: choice for choice in choices(Settings)}
     for key, value in given.items():
-        if value not in known[key].values:
-            raise MachineError(f'must be {" or ".join(known[key].values)}', f'control.{key}')
+        demand(
+            value in known[key].values,
+            f'must be {" or ".join(known[key].values)}',
+            f'control.{key}',
+        )
     return dict(given)
 
 
@@ -86,11 +89,13 @@ def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
     given = content.get('look_ahead')
     if given is None:
         return None
-    if not isinstance(given, dict) or set(given) - {STOPS} != set(PACE):
-        raise MachineError(f'must hold {" and ".join(PACE)}, and may {STOPS}', 'look_ahead')
+    demand(
+        isinstance(given, dict) and set(given) - {STOPS} == set(PACE),
+        f'must hold {" and ".join(PACE)}, and may {STOPS}',
+        'look_ahead',
+    )
     stops = given.get(STOPS, False)
-    if not isinstance(stops, bool):
-        raise MachineError('must be true or false', f'look_ahead.{STOPS}')
+    demand(isinstance(stops, bool), 'must be true or false', f'look_ahead.{STOPS}')
     jump, time = (number(given[k], f'look_ahead.{k}', *PACE[k]) * 1e-3 for k in PACE)
     return BlockPace(jump, time, jerk, stops)
 
@@ -131,17 +136,25 @@ MOST_MACROS, LONGEST_MACRO = 24, 40
 
 def macros(content: dict[str, Any]) -> tuple[Macro, ...]:
     given = content.get('macros') or {}
-    if not isinstance(given, dict) or len(given) > MOST_MACROS:
-        raise MachineError(f'must be a mapping of at most {MOST_MACROS} names', 'macros')
+    demand(
+        isinstance(given, dict) and len(given) <= MOST_MACROS,
+        f'must be a mapping of at most {MOST_MACROS} names',
+        'macros',
+    )
     found = []
     for name, told in given.items():
         lines = [told] if isinstance(told, str) else told
         texts = isinstance(lines, list) and all(isinstance(line, str) for line in lines)
-        if not (texts and lines and all(line.strip() for line in lines)):
-            raise MachineError('must be a line of G-code, or a list of lines', f'macros.{name}')
-        if len(lines) > LONGEST_MACRO or any('\n' in line for line in lines):
-            why = f'at most {LONGEST_MACRO} lines; call a subprogram for more'
-            raise MachineError(why, f'macros.{name}')
+        demand(
+            texts and lines and all(line.strip() for line in lines),
+            'must be a line of G-code, or a list of lines',
+            f'macros.{name}',
+        )
+        demand(
+            len(lines) <= LONGEST_MACRO and not any('\n' in line for line in lines),
+            f'at most {LONGEST_MACRO} lines; call a subprogram for more',
+            f'macros.{name}',
+        )
         found.append(Macro(str(name), tuple(line.strip() for line in lines)))
     return tuple(found)
 
@@ -149,9 +162,8 @@ def macros(content: dict[str, Any]) -> tuple[Macro, ...]:
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
     found = {}
     for name, values in section(content, 'extra', EXTRA_LETTERS).items():
-        along = values.get('along') if isinstance(values, dict) else None
-        if along not in ('X', 'Y', 'Z'):
-            raise MachineError("must be 'X', 'Y' or 'Z'", f'extra.{name}.along')
+        along: Any = values.get('along') if isinstance(values, dict) else None
+        demand(along in ('X', 'Y', 'Z'), "must be 'X', 'Y' or 'Z'", f'extra.{name}.along')
         found[str(name)] = np.eye(3)['XYZ'.index(along)]
     return found
 
@@ -162,8 +174,11 @@ def is_locked(rotary: dict[str, Any], name: str) -> bool:
 
 
 def entry(rotary: dict[str, Any], axis: str, where: str, key: str) -> Any:
-    if not isinstance(rotary.get(axis), dict) or key not in rotary[axis]:
-        raise MachineError('missing', f'{where}.{axis}.{key}')
+    demand(
+        isinstance(rotary.get(axis), dict) and key in rotary[axis],
+        'missing',
+        f'{where}.{axis}.{key}',
+    )
     return rotary[axis][key]
 
 
@@ -184,20 +199,28 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
     for key in ('primary', 'secondary'):
         direction = entry(rotary, key, 'rotary', 'about')
         about = np.asarray(numbers(direction, 3, f'rotary.{key}.about'))
-        if not np.linalg.norm(about) > 0.0:
-            raise MachineError('must not be zero', f'rotary.{key}.about')
+        demand(np.linalg.norm(about) > 0.0, 'must not be zero', f'rotary.{key}.about')
         directions.append(about / np.linalg.norm(about))
         carries = entry(rotary, key, 'rotary', 'carries')
-        if carries not in ('workpiece', 'tool'):
-            raise MachineError("must be 'workpiece' or 'tool'", f'rotary.{key}.carries')
+        demand(
+            carries in ('workpiece', 'tool'),
+            "must be 'workpiece' or 'tool'",
+            f'rotary.{key}.carries',
+        )
         on_head.append(carries == 'tool')
     locked = any(rotary[key].get('locked') is True for key in ('primary', 'secondary'))
     tilt = rotary.get('singular_cone_deg', 0.02)
     cone = number(tilt, 'rotary.singular_cone_deg', 1e-4, 30.0) * DEG
-    if abs(directions[0] @ directions[1]) > 0.999:
-        raise MachineError('primary and secondary must not be parallel', 'rotary.secondary.about')
-    if abs(directions[1 if all(on_head) else int(on_head[1])][2]) > 0.999:
-        raise MachineError('the axis next to the tool must tilt it away from +Z', 'rotary')
+    demand(
+        abs(directions[0] @ directions[1]) <= 0.999,
+        'primary and secondary must not be parallel',
+        'rotary.secondary.about',
+    )
+    demand(
+        abs(directions[1 if all(on_head) else int(on_head[1])][2]) <= 0.999,
+        'the axis next to the tool must tilt it away from +Z',
+        'rotary',
+    )
     offsets = [
         vector(rotary, key, all(on_head) or (key == GEOMETRY[1] and locked))
         for key in GEOMETRY[:3]
@@ -230,54 +253,57 @@ def homing(
         return ReferenceSwitches()
     given = section(content, 'homing', ('switches', 'index', 'order', 'required'))
     order, required = given.get('order'), given.get('required', False)
-    if not isinstance(required, bool):
-        raise MachineError('must be true or false', 'homing.required')
+    demand(isinstance(required, bool), 'must be true or false', 'homing.required')
     found, index = _on_travel(given, 'switches', travel), dict[str, float]()
     if 'index' in given:
         index = _on_travel(given, 'index', {name: travel[name] for name in found})
     groups = [[name] for name in found] if order is None else order
     lists = isinstance(groups, list) and all(isinstance(group, list) for group in groups)
-    if not lists or sorted(str(name) for group in groups for name in group) != sorted(found):
-        why = 'must name each axis of switches once, as [[Z], [X, Y]]'
-        raise MachineError(why, 'homing.order')
+    demand(
+        lists and sorted(str(name) for group in groups for name in group) == sorted(found),
+        'must name each axis of switches once, as [[Z], [X, Y]]',
+        'homing.order',
+    )
     return ReferenceSwitches(found, index, tuple(map(tuple, groups)), required)
 
 
 def _on_travel(
     given: dict[str, Any], section: str, travel: dict[str, tuple[FloatArray, float]]
 ) -> dict[str, float]:
-    found, places = {}, given.get(section)
-    if not isinstance(places, dict) or not places:
-        raise MachineError('must give axes with positions, as {Z: 480.0}', f'homing.{section}')
+    found, places = {}, given.get(section, {})
+    demand(
+        isinstance(places, dict) and places,
+        'must give axes with positions, as {Z: 480.0}',
+        f'homing.{section}',
+    )
     for name, value in places.items():
         key = f'homing.{section}.{name}'
-        if name not in travel or not np.isfinite(travel[name][0]).all():
-            raise MachineError('no axis with a travel', key)
+        demand(name in travel and np.isfinite(travel[name][0]).all(), 'no axis with a travel', key)
         (low, high), unit = travel[name]
         found[name] = numbers([value], 1, key)[0] * unit
-        if not low < found[name] < high:
-            raise MachineError('must lie within the travel', key)
+        demand(low < found[name] < high, 'must lie within the travel', key)
     return found
 
 
 def axis_limits(limits: dict[str, Any], name: str, linear: bool) -> AxisLimits:
-    values = limits.get(name)
-    if not isinstance(values, dict):
-        raise MachineError('missing; give velocity, acceleration, jerk', f'limits.{name}')
+    values: Any = limits.get(name)
+    demand(
+        isinstance(values, dict), 'missing; give velocity, acceleration, jerk', f'limits.{name}'
+    )
     units = LINEAR_KEYS if linear else ROTARY_KEYS
     require_known(values, units, f'limits.{name}')
     *limit_keys, travel_key = units
     found = []
     for key, (low, high) in zip(limit_keys, PLAUSIBLE[linear], strict=True):
-        if key not in values:
-            raise MachineError('missing', f'limits.{name}.{key}')
+        demand(key in values, 'missing', f'limits.{name}.{key}')
         unit = units[key]
         found.append(number(values[key], f'limits.{name}.{key}', low / unit, high / unit) * unit)
     low, high = -np.inf, np.inf
     if travel_key in values:
         low_high = numbers(values[travel_key], 2, f'limits.{name}.{travel_key}')
-        if not low_high[0] < low_high[1]:
-            raise MachineError('must be [lowest, highest]', f'limits.{name}.{travel_key}')
+        demand(
+            low_high[0] < low_high[1], 'must be [lowest, highest]', f'limits.{name}.{travel_key}'
+        )
         low, high = (x * units[travel_key] for x in low_high)
     return AxisLimits(found[0], found[1], found[2], (low, high))
 
@@ -296,12 +322,10 @@ def entries_by_axis(
     content: dict[str, Any], section: str, names: list[str], holds: str
 ) -> Iterator[tuple[int, str, Any]]:
     given = content.get(section) or {}
-    if not isinstance(given, dict):
-        raise MachineError(f'must name axes, each with {holds}', section)
+    demand(isinstance(given, dict), f'must name axes, each with {holds}', section)
     for name, values in given.items():
         where = f'{section}.{name}'
-        if name not in names:
-            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', where)
+        demand(name in names, f'the machine has no such axis (axes: {" ".join(names)})', where)
         yield names.index(name), where, values
 
 
@@ -311,20 +335,28 @@ def _places(values: Any, where: str, linear: bool, limits: AxisLimits) -> Limits
     units = LINEAR_KEYS if linear else ROTARY_KEYS
     *limit_keys, travel_key = units
     place_key = travel_key.replace('travel', 'at')
-    if not isinstance(values, dict) or not isinstance(values.get(place_key), list):
-        raise MachineError(f'give {place_key}: the positions, and limits there', where)
+    demand(
+        isinstance(values, dict) and isinstance(values.get(place_key), list),
+        f'give {place_key}: the positions, and limits there',
+        where,
+    )
     require_known(values, (place_key, *limit_keys), where)
     count = len(values[place_key])
     place = np.array(numbers(values[place_key], count, f'{where}.{place_key}')) * units[travel_key]
-    if count < 2 or not (np.diff(place) > 0.0).all():
-        raise MachineError('must be increasing positions, at least two', f'{where}.{place_key}')
-    if not np.isfinite(travel).all():
-        raise MachineError(f'the axis is endless; give it {travel_key} under limits', where)
-    if place[0] > travel[0] + SAME_PLACE or place[-1] < travel[1] - SAME_PLACE:
-        low, high = (end / units[travel_key] for end in travel)
-        raise MachineError(
-            f'does not cover the travel {low:g} ... {high:g}', f'{where}.{place_key}'
-        )
+    demand(
+        count >= 2 and (np.diff(place) > 0.0).all(),
+        'must be increasing positions, at least two',
+        f'{where}.{place_key}',
+    )
+    demand(
+        np.isfinite(travel).all(), f'the axis is endless; give it {travel_key} under limits', where
+    )
+    low, high = (end / units[travel_key] for end in travel)
+    demand(
+        place[0] <= travel[0] + SAME_PLACE and place[-1] >= travel[1] - SAME_PLACE,
+        f'does not cover the travel {low:g} ... {high:g}',
+        f'{where}.{place_key}',
+    )
     table = np.array([np.full(count, one) for one in largest] + [place])
     for row, key in enumerate(limit_keys):
         if key not in values:
@@ -332,42 +364,41 @@ def _places(values: Any, where: str, linear: bool, limits: AxisLimits) -> Limits
         unit, least = units[key], PLAUSIBLE[linear][row][0]
         at = f'{where}.{key}'
         for column, value in enumerate(numbers(values[key], count, at)):
-            if value * unit > largest[row] * (1.0 + 1e-12):
-                most = largest[row] / unit
-                raise MachineError(f'{value:g} is above {most:g}, the one under limits', at)
+            demand(
+                value * unit <= largest[row] * (1.0 + 1e-12),
+                f'{value:g} is above {largest[row] / unit:g}, the one under limits',
+                at,
+            )
             table[row, column] = number(value, at, least / unit, np.inf) * unit
     return LimitsByPlace(*table)
 
 
 def require_known(values: dict[str, Any], known: Collection[str], where: str) -> None:
     for key in values:
-        if key not in known:
-            raise MachineError(f'unknown; known: {", ".join(known)}', f'{where}.{key}')
+        demand(key in known, f'unknown; known: {", ".join(known)}', f'{where}.{key}')
 
 
 def number(value: Any, key: str, low: float, high: float) -> float:
-    if not is_number(value):
-        raise MachineError(f'must be a number, not {value!r}', key)
-    if value <= 0.0:
-        raise MachineError(f'must be positive, not {value}', key)
-    if not low <= value <= high:
-        raise MachineError(f'{value} is outside {low:g} ... {high:g}; is the unit right?', key)
+    demand(is_number(value), f'must be a number, not {value!r}', key)
+    demand(value > 0.0, f'must be positive, not {value}', key)
+    demand(
+        low <= value <= high, f'{value} is outside {low:g} ... {high:g}; is the unit right?', key
+    )
     return float(value)
 
 
 def numbers(value: Any, count: int, key: str) -> list[float]:
-    if not isinstance(value, list) or len(value) != count:
-        raise MachineError(f'must be a list of {count} numbers', key)
+    demand(
+        isinstance(value, list) and len(value) == count, f'must be a list of {count} numbers', key
+    )
     for x in value:
-        if not is_number(x):
-            raise MachineError(f'must hold numbers, not {x!r}', key)
+        demand(is_number(x), f'must hold numbers, not {x!r}', key)
     return [float(x) for x in value]
 
 
 def vector(rotary: dict[str, Any], key: str, optional: bool) -> FloatArray:
     """Read an offset in mm; zero where it is optional and missing."""
     if key not in rotary:
-        if optional:
-            return np.zeros(3)
-        raise MachineError('missing; three numbers in mm', f'rotary.{key}')
+        demand(optional, 'missing; three numbers in mm', f'rotary.{key}')
+        return np.zeros(3)
     return np.asarray(numbers(rotary[key], 3, f'rotary.{key}')) * MM

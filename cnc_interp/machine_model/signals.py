@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from cnc_interp.core import MachineError
 from cnc_interp.core.small_files import UnreadableError, config_directory, is_number, read_yaml
+from cnc_interp.machine_model.demands import demand
 
 #: Letters of a program whose value a function may take: speed, tool, and words of its own block.
 LETTERS = ('S', 'T', 'P', 'Q')
@@ -242,8 +243,11 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
             names = ', '.join(sorted(path.stem for path in file.parent.glob('*.yaml')))
             raise MachineError(f'no signals {given!r}; choose {names}', 'signals') from None
     known = 'outputs', 'inputs', 'functions', 'after', 'switched_off', 'interlocks'
-    if not isinstance(given, dict) or set(given) - set(known):
-        raise MachineError(f'may hold {", ".join(known)}', 'signals')
+    demand(
+        isinstance(given, dict) and set(given) <= set(known),
+        f'may hold {", ".join(known)}',
+        'signals',
+    )
     outputs = tuple(_signals(given, 'outputs', ()))
     inputs = tuple(_signals(given, 'inputs', [signal.name for signal in outputs]))
     for axis in index:
@@ -257,8 +261,11 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
         where, first = f'signals.functions.{word}', len(steps)
         code = word[1:].isdigit() and word[0] == 'M' and word == f'M{int(word[1:])}'
         others = ('S', 'T', TOWARD, AWAY, *STOPS[:-1])
-        if word in NO_FUNCTIONS or not (code or word in others):
-            raise MachineError(f'write an M code as M8, or one of {", ".join(others)}', where)
+        demand(
+            word not in NO_FUNCTIONS and (code or word in others),
+            f'write an M code as M8, or one of {", ".join(others)}',
+            where,
+        )
         each = listed if isinstance(listed, list) else [listed]
         steps += [_step(word, values, where, outputs, inputs) for values in each]
         words[word] = range(first, len(steps))
@@ -269,15 +276,20 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
         outputs += tuple(Signal(name, True, unit, -1e9, 1e9) for name, unit in STATES.items())
         _add_states(outputs, inputs, steps, words)
     after = given.get('after', [word for word in AFTER if word in words])
-    if not isinstance(after, list) or not set(after) <= set(words) - set(STOPS):
-        raise MachineError('must list words of functions', 'signals.after')
+    demand(
+        isinstance(after, list) and set(after) <= set(words) - set(STOPS),
+        'must list words of functions',
+        'signals.after',
+    )
     off = _switched_off(given, outputs[:wired])
     found = Signals(outputs, inputs, tuple(steps), words, frozenset(after), wired, off, rules)
     for word, armed in ((TOWARD, 1.0), (AWAY, 2.0)):
         last = steps[words[word][-1]] if words.get(word) else None
-        if last and (not found.probe or (last.output, last.value) != (found.probe[0], armed)):
-            text = f'must end with {ARMED}: {armed:g}, and {PROBE} must be an input'
-            raise MachineError(text, f'signals.functions.{word}')
+        demand(
+            not last or (found.probe and (last.output, last.value) == (found.probe[0], armed)),
+            f'must end with {ARMED}: {armed:g}, and {PROBE} must be an input',
+            f'signals.functions.{word}',
+        )
     return _with_tool_change(found)
 
 
@@ -321,21 +333,28 @@ def _switched_off(
     """
     rows = _mapping(given, 'switched_off')
     for name in rows:
-        if name not in [signal.name for signal in outputs]:
-            raise MachineError('must name outputs', f'signals.switched_off.{name}')
+        demand(
+            name in [signal.name for signal in outputs],
+            'must name outputs',
+            f'signals.switched_off.{name}',
+        )
     found, named = dict[str, tuple[int, ...]](), _mapping(given, 'outputs')
     for k, signal in enumerate(outputs):
         where = f'signals.switched_off.{signal.name}'
-        if signal.name not in rows and signal.name in named and not signal.is_number:
-            text = f'is missing: write {ALWAYS}, {NEVER} (as for a clamp), or a list of'
-            raise MachineError(f'{text} {", ".join(STOPS)}', where)
+        demand(
+            signal.name in rows or signal.name not in named or signal.is_number,
+            f'is missing: write {ALWAYS}, {NEVER} (as for a clamp), or a list of '
+            f'{", ".join(STOPS)}',
+            where,
+        )
         stops = rows.get(signal.name, NEVER if signal.is_number else ALWAYS)
         if stops in (ALWAYS, NEVER):
             stops = [*STOPS] if stops == ALWAYS else []
-        if not isinstance(stops, list) or not all(stop in STOPS for stop in stops):
-            raise MachineError(
-                f'must be {ALWAYS}, {NEVER}, or a list of {", ".join(STOPS)}', where
-            )
+        demand(
+            isinstance(stops, list) and all(stop in STOPS for stop in stops),
+            f'must be {ALWAYS}, {NEVER}, or a list of {", ".join(STOPS)}',
+            where,
+        )
         if stops and (fault := signal.fault_of(0.0)):
             raise MachineError(fault, where)
         found |= {stop: (*found.get(stop, ()), k) for stop in stops}
@@ -352,13 +371,14 @@ def _interlocks(
     found = {}
     for name, listed in _mapping(given, 'interlocks').items():
         where, conditions = f'signals.interlocks.{name}', listed
-        if name not in names:
-            raise MachineError('must name an output', where)
+        demand(name in names, 'must name an output', where)
         conditions = listed if isinstance(listed, list) else [listed]
         plain = [str(each).removeprefix('not ') for each in conditions]
-        if not set(plain) <= {*known} - {name}:
-            told = f'must list what holds while it is on: {", ".join(known)}, or "not" and a name'
-            raise MachineError(told, where)
+        demand(
+            set(plain) <= {*known} - {name},
+            f'must list what holds while it is on: {", ".join(known)}, or "not" and a name',
+            where,
+        )
         numbers = [places.index(each) + 1 for each in plain]
         found[names.index(name)] = tuple(
             number if each == condition else -number
@@ -404,8 +424,11 @@ def _add_states(
 
 def _mapping(given: Mapping[str, Any], section: str) -> dict[str, Any]:
     found = given.get(section) or {}
-    if not isinstance(found, dict) or not all(isinstance(k, str) and k for k in found):
-        raise MachineError('must be a mapping of names', f'signals.{section}')
+    demand(
+        isinstance(found, dict) and all(isinstance(k, str) and k for k in found),
+        'must be a mapping of names',
+        f'signals.{section}',
+    )
     return found
 
 
@@ -416,17 +439,22 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
         number = section == 'inputs' and name in NUMBERS
         known = {'ramp_rpm_per_s'} if number else known
         taken = name == OPERATOR or name in STATES
-        if not isinstance(values, dict) or set(values) - known or taken:
-            raise MachineError(f'may have {" and ".join(sorted(known))}', where)
+        demand(
+            isinstance(values, dict) and set(values) <= known and not taken,
+            f'may have {" and ".join(sorted(known))}',
+            where,
+        )
         follows = values.get('follows', [])
         follows = follows if isinstance(follows, list) else [follows]
-        if not set(follows) <= set(outputs):
-            raise MachineError('must name outputs', f'{where}.follows')
+        demand(set(follows) <= set(outputs), 'must name outputs', f'{where}.follows')
         low, high = _range(values['range'], where) if 'range' in values else (0.0, 1.0)
         if number:
             ramp = values.get('ramp_rpm_per_s', inf)
-            if not (is_number(ramp) and ramp > 0.0) and ramp is not inf:
-                raise MachineError('must be above 0', f'{where}.ramp_rpm_per_s')
+            demand(
+                ramp is inf or (is_number(ramp) and ramp > 0.0),
+                'must be above 0',
+                f'{where}.ramp_rpm_per_s',
+            )
             yield Signal(name, True, NUMBERS[name], -1e12, 1e12, ramp=ramp / 60.0)
             continue
         yield Signal(
@@ -441,17 +469,18 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
 
 
 def _range(given: Any, where: str) -> tuple[float, float]:
-    if isinstance(given, list) and len(given) == 2 and all(map(is_number, given)):
-        low, high = map(float, given)
-        if low < high:
-            return low, high
-    raise MachineError('must be [lowest, highest]', f'{where}.range')
+    two = isinstance(given, list) and len(given) == 2 and all(map(is_number, given))
+    demand(two and given[0] < given[1], 'must be [lowest, highest]', f'{where}.range')
+    return float(given[0]), float(given[1])
 
 
 def _time(values: Mapping[str, Any], key: str, where: str, default: float) -> float:
     value = values.get(key, default)
-    if value is not default and not (is_number(value) and 0.0 < value <= 3600.0):
-        raise MachineError(f'must be a time in s, not {value!r}', f'{where}.{key}')
+    demand(
+        value is default or (is_number(value) and 0.0 < value <= 3600.0),
+        f'must be a time in s, not {value!r}',
+        f'{where}.{key}',
+    )
     return float(value)
 
 
@@ -461,13 +490,15 @@ def _step(
     options = ('wait_for', 'limit_s', 'delay_s')
     names = [key for key in values if key not in options] if isinstance(values, dict) else []
     known = [signal.name for signal in outputs]
-    if len(names) != 1 or names[0] not in known:
-        raise MachineError(f'each step sets one output: {", ".join(known)}', where)
+    demand(
+        len(names) == 1 and names[0] in known,
+        f'each step sets one output: {", ".join(known)}',
+        where,
+    )
     output, value = known.index(names[0]), values[names[0]]
     value = int(value) if isinstance(value, bool) else value
     if value not in LETTERS or word in STOPS:
-        if not is_number(value):
-            raise MachineError(f'write a number, or {", ".join(LETTERS)}', f'{where}.{names[0]}')
+        demand(is_number(value), f'write a number, or {", ".join(LETTERS)}', f'{where}.{names[0]}')
         value = float(value)
         if fault := outputs[output].fault_of(value):
             raise MachineError(fault, f'{where}.{names[0]}')
@@ -480,18 +511,18 @@ def _wait(
     delay, limit = _time(values, 'delay_s', where, 0.0), _time(values, 'limit_s', where, inf)
     wanted = values.get('wait_for')
     if wanted is None:
-        if 'limit_s' in values:
-            raise MachineError('belongs to wait_for', f'{where}.limit_s')
+        demand('limit_s' not in values, 'belongs to wait_for', f'{where}.limit_s')
         return NO_WAIT, limit, delay
-    if word in STOPS:
-        raise MachineError('a stop waits for nothing; write delay_s', f'{where}.wait_for')
+    demand(word not in STOPS, 'a stop waits for nothing; write delay_s', f'{where}.wait_for')
     if wanted == OPERATOR:
         return ASK, limit, delay
     names = [signal.name for signal in inputs]
     names += [TURNING] if ANGLE in names else []
     name = str(wanted).removeprefix('not ')
-    if name not in names:
-        told = f'must name an input: {", ".join(names)}; or {OPERATOR}'
-        raise MachineError(told, f'{where}.wait_for')
+    demand(
+        name in names,
+        f'must name an input: {", ".join(names)}; or {OPERATOR}',
+        f'{where}.wait_for',
+    )
     number = names.index(name) + 1
     return (number if name == wanted else -number), limit, delay

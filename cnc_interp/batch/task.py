@@ -220,5 +220,4 @@ def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:
 
 def _model(name: str) -> Model:
     machine = Machine.load(name)
-    text = find_machine_file(name).read_text(encoding='utf-8')
-    return Model(name, text, machine.file)
+    return Model(name, find_machine_file(name).read_text(encoding='utf-8'), machine.file)

@@ -113,8 +113,7 @@ class Postures:
 
     def velocity(self, points: FloatArray) -> FloatArray:
         """Return V_P of points (n, ..., 3) of the mill per arc length of K [TL2008, Eq. 3.4]."""
-        extra = points.ndim - 2
-        shape = (len(self), *[1] * extra, 3)
+        shape = (len(self), *[1] * (points.ndim - 2), 3)
         away = points - self.frames.position.reshape(shape)
         turn = np.broadcast_to(self.turn.reshape(shape), away.shape)
         return np.asarray(self.frames.feed.reshape(shape) + cross(turn, away))

@@ -61,8 +61,7 @@ class Scallops:
     refined: IntArray
 
     def half_width(self, postures: Postures) -> FloatArray:
-        away = self.position - postures.frames.position
-        return np.abs(dot(away, postures.frames.across))
+        return np.abs(dot(self.position - postures.frames.position, postures.frames.across))
 
 
 def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -97,8 +97,7 @@ def cross_sections(
     at = surface.at(u, v)
     heights = cut_needles(Needles(at.position, at.normal), cutter, motion.tip, motion.axis)
     way = np.concatenate([[0.0], np.cumsum(norm(np.diff(at.position[0], axis=0)))])
-    inside = surface.contains(u, v, -margin) & heights.cut
-    shown = np.where(inside, heights.height, np.nan)
+    shown = np.where(surface.contains(u, v, -margin) & heights.cut, heights.height, np.nan)
     found = [np.zeros(0)]
     for row in shown:
         for run in runs(np.isfinite(row)):

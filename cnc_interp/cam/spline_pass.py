@@ -66,8 +66,7 @@ class SplinePass:
 
         parts = kept_ranges(made.curve, made.s, made.reach, overrun)
         if neighbours:
-            cutter = made.tool(made.s[:1]).cutter
-            parts = neighbours.free_parts(rows, cutter, parts)
+            parts = neighbours.free_parts(rows, made.tool(made.s[:1]).cutter, parts)
         return [SplinePass.following(rows, ends) for ends in parts]
 
     @staticmethod

@@ -67,12 +67,11 @@ def types() -> Any:
 
 def offered(profile: QoSProfile) -> interfaces.Qos:
     """Describe a quality of service, so that a player offers the same."""
-    durability = interfaces.QosDurability[profile.durability.name]
     return interfaces.Qos(
         interfaces.QosHistory.KEEP_LAST,
         profile.depth,
         interfaces.QosReliability.RELIABLE,
-        durability,
+        interfaces.QosDurability[profile.durability.name],
         ENDLESS,
         ENDLESS,
         interfaces.QosLiveliness.AUTOMATIC,

@@ -199,8 +199,7 @@ def probe_rotary_centres(
 
     with connected('probe', namespace, domain, ready) as (client, machine):
         toucher = _Toucher(client, found[0], machine)
-        node = client.node
-        ear = hear(node, ProbeContact, 'probe_contact', toucher.hear, CONTACTS)
+        ear = hear(client.node, ProbeContact, 'probe_contact', toucher.hear, CONTACTS)
         until = time.monotonic() + PATIENCE
         while not ear.subscription.get_publisher_count() and time.monotonic() < until:
             client.serve()

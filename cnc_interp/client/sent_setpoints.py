@@ -70,8 +70,7 @@ class SentSetpoints:
         message = self.at(run_id, number + later) or self.at(run_id, number)
         if message is None:
             return -np.inf
-        places = message.tail_path_positions or message.path_positions
-        return float(places[-1])
+        return float((message.tail_path_positions or message.path_positions)[-1])
 
     def at(self, run_id: RunId, number: int) -> SetpointChunk | None:
         """Return the message with a setpoint; None if the record does not have it."""

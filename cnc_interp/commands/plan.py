@@ -182,7 +182,7 @@ def describe(summary: dict[str, Any]) -> str:
         )
     if text := bound_text(summary):
         lines.append(f'bound          {text}')
-    if text := windows_text(summary):
+    if text := windows_text(summary['windows']):
         lines.append(f'windows        {text}')
     return '\n'.join(lines)
 

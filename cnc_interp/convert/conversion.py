@@ -173,8 +173,7 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
         )
         for i in range(len(blocks))
     )
-    names = transform.machine.axis_names
-    return Converted(gcode(moves, tuple(names[3:5]), notes), notes)
+    return Converted(gcode(moves, tuple(transform.machine.axis_names[3:5]), notes), notes)
 
 
 def _rotary_words(blocks: Blocks, transform: FiveAxis) -> FloatArray:

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from scipy.interpolate import BPoly, BSpline
 
 
-#: Ends of two portions that are closer than this meet [m], [-].
-SAME_POINT, SAME_AXIS = 1e-9, 1e-9
 MOST_PIECES = 256  #: Most pieces of one knot interval of the written top curve.
 
 
@@ -53,18 +51,6 @@ class Linked:
         tip = curve(u)[:, :3]
         tool = curve(self.parametrization(u))[:, 3:] - tip
         return tip, tool / norm(tool)[:, None]
-
-
-def join(
-    first: Portion, second: Portion, height: float, tolerance: float = 1e-8, septic: bool = False
-) -> Linked:
-    """Join two 5-axis B-spline portions by a parametrization spline [B2013, section 2.6]."""
-    ends, begins = first.jets(at_end=True), second.jets(at_end=False)
-    if norm(ends.tip[0] - begins.tip[0])[0] > SAME_POINT:
-        raise InterpError('the second portion does not begin at the tip where the first one ends')
-    if norm(ends.axis[0] - begins.axis[0])[0] > SAME_AXIS:
-        raise InterpError('both portions must have the same tool axis where they meet')
-    return linked(second, ends, None, height, tolerance, septic)
 
 
 def linked(

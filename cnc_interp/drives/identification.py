@@ -127,8 +127,7 @@ def _moving(setpoint: FloatArray, period: float) -> FloatArray:
     moves = np.flatnonzero(np.abs(np.diff(setpoint)) > STILL)
     if not len(moves):
         return np.zeros(0, dtype=int)
-    end = min(moves[-1] + 2 + round(SETTLING / period), len(setpoint))
-    return np.arange(moves[0], end)
+    return np.arange(moves[0], min(moves[-1] + 2 + round(SETTLING / period), len(setpoint)))
 
 
 def _after_reversals(setpoint: FloatArray) -> BoolArray:

@@ -183,8 +183,7 @@ class ToolLimit:
         Near each cell, over the limit; ``predicted`` (2, n): by the rows, at the left nodes.
         """
         assert self.motion is not None, 'begun is called before'
-        cells = len(stretch.duration)
-        law, motion = stretch.law(0.0, cells), self.motion.copy()
+        law, motion = stretch.law(0.0, len(stretch.duration)), self.motion.copy()
         time = self._times(law)
         moving = motion.push(*axis_motion(stretch.path, law, time)[:2])
         resting = motion.settle(stretch.path.cell_right[0, -1])

@@ -161,8 +161,7 @@ class FiveAxis:
 
     def branch_at(self, rotary: FloatArray) -> float:
         """Return the branch, +1 or -1, of rotary positions (2,) [rad]."""
-        axis = self.tool_axis(rotary[None])[0]
-        found = self.rotary_solutions(axis)
+        found = self.rotary_solutions(self.tool_axis(rotary[None])[0])
         gaps = [np.abs(np.sin(0.5 * (rotary - pair))).max() for pair in found]
         return 1.0 if not gaps or gaps[0] <= gaps[-1] else -1.0
 

@@ -429,8 +429,7 @@ class _State:
         sweep *= int(np.prod(np.sign(self.factor()[list(self.plane[:2])])))
         if sweep and words.keys().isdisjoint('IJKR'):
             raise self.refuse('an arc without I J K and R')
-        centre = self.centre(words, start, end, sweep) if sweep else None
-        self.add(sweep, centre)
+        self.add(sweep, self.centre(words, start, end, sweep) if sweep else None)
 
     def centre(
         self, words: dict[str, float], start: FloatArray, end: FloatArray, sweep: int

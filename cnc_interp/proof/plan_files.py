@@ -158,8 +158,7 @@ class Stored:
         np.ascontiguousarray(rows, dtype=self.dtype).tofile(self._file)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        rows = self[:, :] if self.ndim > 2 else self[:]
-        return np.asarray(rows, dtype=dtype)
+        return np.asarray(self[:, :] if self.ndim > 2 else self[:], dtype=dtype)
 
     def _rows(self, first: int, count: int, tail: tuple[int, ...]) -> NDArray[Any]:
         size = math.prod(tail)

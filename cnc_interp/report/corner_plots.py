@@ -73,8 +73,7 @@ def shift(view: CornerView) -> FloatArray:
     """Return the displacement of the top curve: at true height a corner were two dots."""
     size = _size(view)
     middle = view.axis[len(view.axis) // 2]
-    away = max(0.0, _height(view) - GAP * size)
-    return np.asarray(away * middle)
+    return np.asarray(max(0.0, _height(view) - GAP * size) * middle)
 
 
 def profile_figure(view: CornerView) -> Any:
@@ -133,7 +132,6 @@ def profile_figure(view: CornerView) -> Any:
 def _draw(
     figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = False
 ) -> None:
-    mode = 'lines+markers' if len(x) < FEW and shown else 'lines'
     html.add_curve(
         figure,
         row,
@@ -142,7 +140,7 @@ def _draw(
         name,
         line,
         shown,
-        mode=mode,
+        mode='lines+markers' if len(x) < FEW and shown else 'lines',
         marker={'size': 4},
         hovertemplate='%{y:.4g}',
     )

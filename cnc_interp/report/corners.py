@@ -322,8 +322,7 @@ def _third_derivatives(
         rate = axes.speed_of(tip)
         speed[k] = rate[0]
         turn[k] = np.linalg.norm([jet.by_arc_length.py_func(tuple(a), rate)[3] for a in axis])
-    step = np.diff(u)
-    way = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)]
+    way = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(u))]
     return way * (float(lengths(one, 0.0)[0]) / way[-1]), turn
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, InterpError
+from cnc_interp.core import FloatArray
 from cnc_interp.core.small_files import write_whole
 
 BESIDE = Path(__file__).parent  #: The texts of the pages that are no Python.
@@ -68,11 +68,9 @@ def letters(whole: bytes) -> str:
 
 
 def document(title: str, body: str, style: str = '') -> str:
-    """Return a page that needs no network, its figures compressed; InterpError without plotly."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as fault:
-        raise InterpError('the page needs plotly: pip install plotly') from fault
+    """Return a page that needs no network, its figures compressed."""
+    from plotly.offline import get_plotlyjs
+
     texts = [get_plotlyjs()]
 
     def take(found: re.Match[str]) -> str:
@@ -92,7 +90,7 @@ def document(title: str, body: str, style: str = '') -> str:
 
 
 def write(file: Path, title: str, body: str, style: str = '') -> None:
-    """Write a page that needs no network; raises as ``document``."""
+    """Write a page that needs no network."""
     file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, document(title, body, style))
 

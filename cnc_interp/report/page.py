@@ -17,8 +17,10 @@ from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.proof.verdict import Finding, Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.report import html
-from cnc_interp.report.corners import read_segments, views_of
+from cnc_interp.report.corner_plots import corner_section
+from cnc_interp.report.corners import curves_section, read_segments, views_of
 from cnc_interp.report.html import drawing, section, tiles
+from cnc_interp.report.plots import PLOTS, tool_error_section
 from cnc_interp.report.series import (
     Series,
     extremes,
@@ -166,13 +168,6 @@ class ExaminedPlan:
 def write_report(
     directory: Path, out: Path, machine: Machine | None = None, compare: Path | None = None
 ) -> None:
-    try:
-        from cnc_interp.report.corner_plots import corner_section
-        from cnc_interp.report.corners import curves_section
-        from cnc_interp.report.page import comparison_section
-        from cnc_interp.report.plots import PLOTS, tool_error_section
-    except ImportError as fault:
-        raise InterpError('the report needs plotly: pip install plotly') from fault
     names = _names(directory, compare or directory)
     run = ExaminedPlan.of(directory, machine, names[0])
     given, machine = machine, run.machine

@@ -271,5 +271,4 @@ class MotionStream:
             self.course.lead(way, s)
             s = float(way.s[0])
         todo = self.course.after(s)
-        rest = self.course.rest_at(s)
-        self.current = MotionPlan(self, settings, todo, rests=rest)
+        self.current = MotionPlan(self, settings, todo, rests=self.course.rest_at(s))

@@ -152,8 +152,7 @@ class PlanFigures:
         before = np.repeat(position[:1], BEFORE, axis=0) if self._last is None else self._last
         held = np.concatenate([before, position])
         limits = self._machine.limits
-        shares = largest_shares(held, limits, self._period)
-        self._use = np.maximum(self._use, shares)
+        self._use = np.maximum(self._use, largest_shares(held, limits, self._period))
         if limits.loads:
             torques = torque_shares(held, limits, self._period)
             self._torque_use = np.maximum(self._torque_use, torques.max(axis=0))
@@ -233,8 +232,8 @@ def clearance_text(found: Mapping[str, Any]) -> str:
 
 def bound_text(summary: Mapping[str, Any]) -> str:
     """Say how fast any motion could be, or '' if this was not computed."""
-    least = summary.get('time_bound')
-    if not isinstance(least, int | float):
+    least = summary['time_bound']
+    if least is None:
         return ''
     return (
         'no motion within these velocities and accelerations takes less than '
@@ -242,19 +241,12 @@ def bound_text(summary: Mapping[str, Any]) -> str:
     )
 
 
-def windows_text(summary: Mapping[str, Any]) -> str:
+def windows_text(windows: Mapping[str, Any]) -> str:
     """Say how the windows were solved if not all have converged, else ''."""
-    windows = summary.get('windows')
-    if not isinstance(windows, dict):
+    if not any(windows[how] for how in SOLVED_BY[1:]):
         return ''
-    counts = {how: windows.get(how) for how in SOLVED_BY}
-    over = windows.get('over_bound')
-    if not all(isinstance(count, int) for count in counts.values()):
-        return ''
-    if not isinstance(over, int | float) or not any(counts[how] for how in SOLVED_BY[1:]):
-        return ''
-    told = ', '.join(f'{count} {how}' for how, count in counts.items() if count)
-    return f'{told}; those not converged take {over:.3f} s more than the bound'
+    told = ', '.join(f'{windows[how]} {how}' for how in SOLVED_BY if windows[how])
+    return f'{told}; those not converged take {windows["over_bound"]:.3f} s more than the bound'
 
 
 def versions() -> dict[str, str]:

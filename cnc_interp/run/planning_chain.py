@@ -137,9 +137,15 @@ def plan_to_files(
                 transform, why = with_spin(transform, settings, program)
             stream.note((int(program.line_number[0]), why))
             parts = iter([program])
-        more: dict[str, Any] = {'start': start, 'processes': processes, 'setup': stream.setup}
-        more['transform'] = transform
-        chain = Chain(machine, settings, writer, **more)
+        chain = Chain(
+            machine,
+            settings,
+            writer,
+            start=start,
+            processes=processes,
+            setup=stream.setup,
+            transform=transform,
+        )
         stack.callback(chain.close)
         with at_fault(stream.source), chain.refusals_in_order():
             rows_read, told = 0, 0.0
@@ -148,9 +154,7 @@ def plan_to_files(
                 writer.blocks(own)
                 if chain.clearance is not None:
                     functions = stream.functions
-                    if start is not None:
-                        functions = start.functions(functions)
-                    chain.clearance.rows(own, functions)
+                    chain.clearance.rows(own, start.functions(functions) if start else functions)
                 rows_read += len(part)
                 for batch in batches(part):
                     chain.push(batch)

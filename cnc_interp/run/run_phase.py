@@ -111,8 +111,7 @@ class MachineReport:
     def moves(self) -> bool:
         if self.state is State.HELD:
             return self.start_wanted and not self.plan_over
-        rests = self.is_free or self.state in (State.INACTIVE, State.FAULT)
-        return not rests
+        return not (self.is_free or self.state in (State.INACTIVE, State.FAULT))
 
     def takes(self, run_id: RunId) -> bool:
         if self.state is State.HELD:

@@ -198,8 +198,7 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
 
 
 def function_messages(functions: Functions, first: int, signals: Signals) -> list[Function]:
-    columns = (column.tolist() for column in functions.columns().values())
-    rows = zip(*columns, strict=True)
+    rows = zip(*(column.tolist() for column in functions.columns().values()), strict=True)
     return [_message(number, row, signals) for number, row in enumerate(rows, first)]
 
 
@@ -212,13 +211,12 @@ def act_message(act: Act, sample: int, signals: Signals) -> Function:
 
 def _message(number: int, row: tuple[Any, ...], signals: Signals) -> Function:
     block, line, step, value, before_stop = row
-    output = signals.outputs[signals.steps[step].output].name
     return Function(
         number=number,
         sequence=block,
         line_number=line,
         step=step,
-        output=output,
+        output=signals.outputs[signals.steps[step].output].name,
         value=value,
         before_stop=before_stop,
     )

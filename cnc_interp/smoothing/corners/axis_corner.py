@@ -212,10 +212,9 @@ class AxisCorners:
         """Build the corners for L1, shape (n,), which may shrink, and L2, shape (n, 2) [m]."""
         inner, _, deviation = self.fit(inner, outer)
         ways = [outer[:, 0], inner, np.zeros(len(inner)), inner, outer[:, 1]]
-        sides = [0, 0, 0, 1, 1]
         points = [
             self.point + way[:, None] * self.legs[:, side]
-            for way, side in zip(ways, sides, strict=True)
+            for way, side in zip(ways, [0, 0, 0, 1, 1], strict=True)
         ]
         return np.stack(points, axis=1), deviation
 

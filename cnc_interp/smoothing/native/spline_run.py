@@ -169,11 +169,10 @@ class SplineRun:
         elif piece.row - self._held[0].row == 1:  # a simple knot, where the curve is C2
             self._settle(None, done, stop=False)
         elif piece.row - self._held[0].row > 3:
-            line = self._rows_known().line_number[piece.row - self._offset]
             raise BlockError(
                 'three or more knot intervals of 0 in a row interrupt the spline; end it there '
                 'and begin another one',
-                int(line),
+                int(self._rows_known().line_number[piece.row - self._offset]),
             )
         else:
             flows, taken = self._opening(piece, self._held[0].jets(at_end=True))

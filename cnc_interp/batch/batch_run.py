@@ -1,11 +1,12 @@
 """A batch from its jobs to all results: what is known is not computed again."""
 
+import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from cnc_interp.batch.processes import PRELOADED, EndedCall, Loss, Processes, total_memory
 from cnc_interp.batch.task import BatchEntry, Jobs, Row, Task, TaskOutcome, Verdict
@@ -13,24 +14,27 @@ from cnc_interp.batch.task_work import carry_out
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 
+R = TypeVar('R')
+
 #: Verdicts that another attempt may change.
 UNCERTAIN = (Verdict.KILLED, Verdict.TOO_LONG, Verdict.TOO_LARGE)
 
 
-class Store:
-    def __init__(self, folder: Path):
-        self._folder = folder
+class Store(Generic[R]):
+    """Results by their keys, a file for each; ``read`` makes a result of what a file holds."""
+
+    def __init__(self, folder: Path, read: Callable[[Any], R]):
+        self._folder, self._read = folder, read
         folder.mkdir(parents=True, exist_ok=True)
 
-    def find(self, key: str) -> TaskOutcome | None:
+    def find(self, key: str) -> R | None:
         try:
-            found = TaskOutcome.of_json(read_json(self._file(key)))
+            return self._read(read_json(self._file(key)))
         except (OSError, UnreadableError, ValueError, TypeError, KeyError):
             return None
-        return None if found.row.verdict in UNCERTAIN else found
 
-    def keep(self, key: str, outcome: TaskOutcome) -> None:
-        write_whole(self._file(key), outcome.to_text())
+    def keep(self, key: str, result: Any) -> None:
+        write_whole(self._file(key), json.dumps(asdict(result), indent=1) + '\n')
 
     def _file(self, key: str) -> Path:
         return self._folder / f'{key}.json'
@@ -64,7 +68,7 @@ class Progress:
 def run_batch(
     jobs: Jobs,
     workers: Workers,
-    store: Store,
+    store: Store[TaskOutcome],
     progress: Callable[[Progress], None],
     processes: int = 1,
 ) -> list[tuple[BatchEntry, TaskOutcome]]:
@@ -80,7 +84,8 @@ def run_batch(
                 text = f'cannot be read: {problem.strerror}'
             found[number] = TaskOutcome(Row(Verdict.REFUSED, text))
             continue
-        if (known := store.find(keys[number])) is not None:
+        known = store.find(keys[number])
+        if known is not None and known.row.verdict not in UNCERTAIN:
             found[number] = known
     known_before = len(found)
     # The longest first: at the end no worker waits for a giant.

@@ -3,11 +3,10 @@
 import hashlib
 import io
 import itertools
-import json
 import shlex
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -17,10 +16,11 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from cnc_interp.batch.batch_page import csv_text
+from cnc_interp.batch.batch_run import Store
 from cnc_interp.batch.processes import EndedCall, Loss, Processes
 from cnc_interp.batch.task import engine
 from cnc_interp.core import UM, InterpError
-from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
+from cnc_interp.core.small_files import read_json, write_whole
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import html
@@ -137,7 +137,7 @@ class Sweep:
         self._progress = progress
         self.found: dict[Point, Found] = {}
         self._done = 0
-        (folder / 'points').mkdir(parents=True, exist_ok=True)
+        self._store = Store(folder / 'points', lambda content: Found(**content))
 
     def grid(self, ranges: Sequence[Range]) -> None:
         names = [one.option for one in ranges]
@@ -176,13 +176,13 @@ class Sweep:
 
     def run(self, values: Sequence[tuple[tuple[str, str], ...]]) -> list[Found]:
         points = [Point(self._words, one) for one in values]
-        known = {point: self._read(point) for point in points if point not in self.found}
+        known = {point: self._store.find(point.key) for point in points if point not in self.found}
         new = [point for point, one in known.items() if one is None]
         calls = [partial(self._call, point) for point in new]
         for ended in self._workers.run(run_point, calls):
             point, one = new[ended.number], _found(ended)
             known[point] = one
-            write_whole(self._file(point), json.dumps(asdict(one)) + '\n')
+            self._store.keep(point.key, one)
             self._done += 1
             self._progress(self._done)
         self.found |= {point: found for point, found in known.items() if found is not None}
@@ -199,15 +199,6 @@ class Sweep:
         best.unlink(missing_ok=True)
         best.symlink_to(self.folder_of(point).relative_to(self._folder))
         return best
-
-    def _file(self, point: Point) -> Path:
-        return self._folder / 'points' / f'{point.key}.json'
-
-    def _read(self, point: Point) -> Found | None:
-        try:
-            return Found(**read_json(self._file(point)))
-        except (OSError, UnreadableError, TypeError):
-            return None
 
 
 def _found(ended: EndedCall[Found]) -> Found:

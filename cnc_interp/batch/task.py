@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -111,9 +111,6 @@ class Cost:
 class TaskOutcome:
     row: Row
     cost: Cost = Cost()
-
-    def to_text(self) -> str:
-        return json.dumps({'row': asdict(self.row), 'cost': asdict(self.cost)}, indent=1) + '\n'
 
     @staticmethod
     def of_json(content: Any) -> TaskOutcome:

@@ -97,7 +97,7 @@ def batch_command(options: argparse.Namespace) -> int:
 
     from cnc_interp.batch.batch_page import write_page, write_tables
     from cnc_interp.batch.batch_run import Progress, Store, run_batch, workers_of
-    from cnc_interp.batch.task import Jobs, Verdict
+    from cnc_interp.batch.task import Jobs, TaskOutcome, Verdict
     from cnc_interp.core.progress_bar import ProgressBar
 
     plans = options.out / 'plans' if options.keep_plans else None
@@ -112,7 +112,7 @@ def batch_command(options: argparse.Namespace) -> int:
         bar.show('planning', progress.share, f'{progress.done} of {progress.total}{known}')
 
     try:
-        store = Store(options.out / 'results')
+        store = Store(options.out / 'results', TaskOutcome.of_json)
         results = run_batch(jobs, workers, store, tell, options.workers)
     finally:
         bar.end(complete=False)

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from cnc_interp.batch.batch_page import write_page, write_tables
 from cnc_interp.batch.batch_run import Progress, Store, run_batch
 from cnc_interp.batch.processes import Processes, total_memory
-from cnc_interp.batch.task import Jobs, Verdict, programs_of
+from cnc_interp.batch.task import Jobs, TaskOutcome, Verdict, programs_of
 from cnc_interp.core import InterpError
 from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.core.small_files import require_allowed, require_inside
@@ -109,7 +109,7 @@ class BatchNode(Node):
         jobs = Jobs(programs, machines, settings, folders=folders)
         out = Path(folder) / goal.name
         note = partial(setattr, self, '_progress')
-        store, workers = Store(out / 'results'), self._values['workers']
+        store, workers = Store(out / 'results', TaskOutcome.of_json), self._values['workers']
         results = run_batch(jobs, self._processes, store, note, workers)
         table, *_ = write_tables(results, None, out)
         write_page(results, None, out / 'batch.html')

@@ -146,7 +146,7 @@ def name_and_parent(process):
 
 def test_a_second_start_plans_only_what_has_changed(programs, tmp_path):
     jobs = partial(Jobs, [programs], ['xyzac'], Settings())
-    store, told = Store(tmp_path / 'results'), []
+    store, told = Store(tmp_path / 'results', TaskOutcome.of_json), []
     workers = Processes(2, 4 * GIGA, 300.0)
 
     class Counting:
@@ -334,8 +334,11 @@ def test_names_and_bad_input(programs, tmp_path, capsys):
     assert not (tmp_path / 'out').exists()
 
 
-def test_outcomes_survive_their_text():
+def test_outcomes_survive_their_text(tmp_path):
     one = TaskOutcome(Row(Verdict.PROVEN, cycle_time=1 / 3, notices=('a', 'b')))
-    assert TaskOutcome.of_json(json.loads(one.to_text())) == one
-    with pytest.raises((TypeError, ValueError, KeyError)):
-        TaskOutcome.of_json({'row': {'verdict': 'fine'}, 'cost': {}})
+    store = Store(tmp_path, TaskOutcome.of_json)
+    store.keep('one', one)
+    assert store.find('one') == one
+    for text in ('{"row": {"verdict": "fine"}, "cost": {}}', '[]', '{'):
+        (tmp_path / 'other.json').write_text(text)
+        assert store.find('other') is None

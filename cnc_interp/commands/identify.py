@@ -1,6 +1,7 @@
 """Drives and run times of a machine, measured on recorded runs."""
 
 from argparse import Namespace
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ def identify_command(options: Namespace) -> int:
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_feedback import recorded_feedback
     from cnc_interp.drives.identification import identify_axis, with_drives
-    from cnc_interp.machine_model.machine import Machine, find_machine_file
+    from cnc_interp.machine_model.machine import find_machine_file
     from cnc_interp.report.identified import identified_lines, write_identified
 
     with Bag(options.bag) as bag:
@@ -98,10 +99,16 @@ def identify_command(options: Namespace) -> int:
         {axis: each.half_width for axis, each in found.items()},
         options.bag.name,
     )
+    return _write(options, text, partial(write_identified, machine, found, run.period))
+
+
+def _write(options: Namespace, text: str, write_page: Callable[[Path], None]) -> int:
+    from cnc_interp.machine_model.machine import Machine
+
     options.out.write_text(text, encoding='utf-8')
     Machine.load(options.out)
     page = options.html or options.out.with_suffix('.html')
-    write_identified(machine, found, run.period, page)
+    write_page(page)
     print(f'machine file   {options.out}')
     print(f'page           {page}')
     return FINE
@@ -133,13 +140,7 @@ def fit_limits_command(options: Namespace) -> int:
         print('{}, lines {}: measured {} s, planned {} s, {}'.format(*row))
     content = read_yaml(find_machine_file(options.machine))
     text = fitted_text(content, found, [run.trace.name for run in runs])
-    options.out.write_text(text, encoding='utf-8')
-    Machine.load(options.out)
-    page = options.html or options.out.with_suffix('.html')
-    write_fitted(runs, found, page)
-    print(f'machine file   {options.out}')
-    print(f'page           {page}')
-    return FINE
+    return _write(options, text, partial(write_fitted, runs, found))
 
 
 def learn_command(options: Namespace) -> int:

@@ -88,8 +88,9 @@ SELDOM = {
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
 MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))  #: No limit.
-# Ranges of the feed and the spindle override [-], and of the periods that can be chosen [s].
-LARGEST, PERIODS = ((0.0, 1.5), (0.5, 1.2)), (1e-5, 0.1)
+LARGEST = (0.0, 1.5), (0.5, 1.2)  #: Ranges of the feed and the spindle override [-].
+#: Ranges of figures that a summary must have [s, m].
+RANGES = {'interpolation_period': (1e-5, 0.1), 'flank_height': (0.0, 1e3)}
 MOST_SAMPLES = 1 << 62  #: No plan has so many setpoints.
 # Most columns of a file; the length [bytes] above which it may unpack to so many times its length.
 MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
@@ -335,15 +336,11 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
         summary = read_json(file)
     except (OSError, UnreadableError) as fault:
         raise _unsound(file, f'cannot be read ({_reason(fault)})') from fault
-    for key in ('interpolation_period', 'flank_height'):
-        value = summary.get(key) if isinstance(summary, dict) else None
-        if not isinstance(value, int | float) or not 0.0 <= value < np.inf:
-            raise InterpError(f'{file}: {key} must be a number >= 0, not {value!r}')
-    low, high = PERIODS
-    value = summary.get('interpolation_period', high)
-    if not isinstance(value, int | float) or not low <= value <= high:
-        text = f'interpolation_period must be from {low:g} to {high:g}, not {value!r}'
-        raise InterpError(f'{file}: {text}')
+    known = summary if isinstance(summary, dict) else {}
+    for key, (low, high) in RANGES.items():
+        value = known.get(key)
+        if not isinstance(value, int | float) or not low <= value <= high:
+            raise InterpError(f'{file}: {key} must be from {low:g} to {high:g}, not {value!r}')
     if wrong := _wrong_overrides(summary.get('overrides', [[0, 1.0, 1.0]])):
         raise InterpError(f'{file}: {wrong}')
     return summary

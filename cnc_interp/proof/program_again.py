@@ -485,8 +485,7 @@ class _FollowPlaces(_Comparison):
         self.faults.append(f'line {line} of the program, by LinuxCNC: {text}')
 
     def row_of_call(self) -> int:
-        if self.before is not None:
-            self.pass_tiny(self.before)
+        self.pass_tiny()
         return self.row
 
     def take(self, move: ReadMove) -> bool:
@@ -499,7 +498,7 @@ class _FollowPlaces(_Comparison):
         before = self.before
         if before is None:
             return 1
-        self.pass_tiny(before)
+        self.pass_tiny()
         rests = not move.sweep and np.array_equal(move.end, before.end)
         if rests and np.array_equal(move.rotary, before.rotary):
             self.tiny += 1
@@ -518,13 +517,13 @@ class _FollowPlaces(_Comparison):
             some *= 4
         return self.row if not move.sweep and self.near(move, self.row - 1, 1)[0] else stop
 
-    def pass_tiny(self, before: ReadMove) -> None:
-        while self.tiny and self.row < len(self.stops) and self.near(before, self.row, 1)[0]:
+    def pass_tiny(self) -> None:
+        before, last = self.before, len(self.stops)
+        while before and self.tiny and self.row < last and self.near(before, self.row, 1)[0]:
             self.row, self.tiny = self.row + 1, self.tiny - 1
 
     def end(self) -> None:
-        if self.before is not None:
-            self.pass_tiny(self.before)
+        self.pass_tiny()
         super().end()
 
     def near(self, move: ReadMove, first: int, some: int) -> BoolArray:

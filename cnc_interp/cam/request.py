@@ -1,7 +1,5 @@
 """What the `cam` commands are asked for, in SI: the options of the command line end here."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path

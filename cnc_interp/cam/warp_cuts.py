@@ -1,7 +1,5 @@
 """The loops of ``needle_cuts.py`` given to Warp in double precision; heights agree to 1e-11 m."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import linecache

@@ -5,8 +5,6 @@ next one of the stop tail of the chunk before it. Motion by hand, at a hold or a
 exempt: nobody sent it, and its limits are judged on their own.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from typing import Any
 

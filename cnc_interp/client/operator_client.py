@@ -1,7 +1,5 @@
 """The operator's end of the ROS interface: hears the nodes, sends programs and commands."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """A ROS node in a context of its own, served by a loop of this process."""
 
-from __future__ import annotations
-
 import faulthandler
 from typing import Self
 

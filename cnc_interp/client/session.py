@@ -1,7 +1,5 @@
 """One session of `cnc-interp run`: starts the four nodes, runs programs, ends the nodes."""
 
-from __future__ import annotations
-
 import os
 import random
 import time

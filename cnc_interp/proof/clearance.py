@@ -8,8 +8,6 @@ two pieces does not cover, the pairs of their parts must. Only hits are left out
 their line, and a plan with hits is not proven.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Clearances in the report: the smallest distance over time and of each pair, and every hit."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Segments of one program -> chunks of one run; no ROS, no clock."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

@@ -13,7 +13,7 @@ from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import CurveFrames, GuidingPlanes, SurfaceCurve, crossing
 from cnc_interp.cam.passes import constant_tilt
-from cnc_interp.cam.scallop import Scallops, conditions, newton_step, scallop_points
+from cnc_interp.cam.scallop import Scallops, conditions, newton_step, resting, scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, cross, dot, norm, scaled, unit
 
@@ -37,10 +37,8 @@ class ClassicalPass:
         return self.right.half_width(self.postures)
 
     def tool(self, s: FloatArray) -> Postures:
-        p, zero = self.postures, np.zeros(len(s))
-        return Postures(
-            p.cutter, self.curve.frames(s), zero + p.tilt[0], zero + p.yaw[0], zero, zero
-        )
+        p = self.postures
+        return resting(p.cutter, self.curve.frames(s), p.tilt[0], p.yaw[0])
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ def classical_paths(
     scallop_height: float,
     tilt: float,
     start: float | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> ClassicalPaths:
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
@@ -73,9 +71,7 @@ class _Run:
         self.height, self.tilt = height, tilt
         self.beyond = cutter.tool_radius + cutter.corner_radius
 
-    def all_passes(
-        self, start: float | None, progress: Callable[[float], None] | None
-    ) -> ClassicalPaths:
+    def all_passes(self, start: float | None, progress: Callable[[float], None]) -> ClassicalPaths:
         passes = [self.first_pass(start)]
         while self.covers_more(passes[-1]):
             if len(passes) >= MOST_PASSES:
@@ -85,8 +81,7 @@ class _Run:
             if loop:
                 return ClassicalPaths(passes, f'pass {len(passes) + 1} {loop}')
             passes.append(self.made(u[found], v[found], len(passes) + 1))
-            if progress:
-                progress(self.share(passes[-1]))
+            progress(self.share(passes[-1]))
         return ClassicalPaths(passes, '')
 
     def first_pass(self, start: float | None) -> ClassicalPass:
@@ -107,10 +102,7 @@ class _Run:
         s = np.linspace(0.0, raw.length, max(25, int(raw.length / SPACING)))
         curve = SurfaceCurve.through(raw.surface, raw.offset, *raw.parameters(s).T)
         s = np.linspace(0.0, curve.length, len(s))
-        zero = np.zeros(len(s))
-        postures = Postures(
-            self.cutter, curve.frames(s), zero + self.tilt, zero, zero, zero.copy()
-        )
+        postures = resting(self.cutter, curve.frames(s), self.tilt, 0.0)
         right = scallop_points(self.surface, postures, self.height)
         if not right.found.all():
             i = int(np.argmin(right.found))
@@ -207,7 +199,7 @@ class _Run:
             v,
             zero,
         )
-        return Postures(self.cutter, frames, zero + self.tilt, zero, zero, zero)
+        return resting(self.cutter, frames, self.tilt, 0.0)
 
     def loop(self, before: ClassicalPass, u: FloatArray, v: FloatArray, found: BoolArray) -> str:
         """Say where the next pass turns back, has a corner or crosses itself; empty if none."""

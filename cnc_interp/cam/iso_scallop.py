@@ -73,17 +73,15 @@ class PassRecursion:
         )
         return 2.0 * float(half.max()) + self.options.overrun
 
-    def all_passes(self, progress: Callable[[float], None] | None) -> list[Pass]:
+    def all_passes(self, progress: Callable[[float], None]) -> list[Pass]:
         first, last = self.planes.span
         passes = [self.first_pass()]
         while passes[-1].plane + float(passes[-1].kept_reach.min()) < last:
             if len(passes) >= MOST_PASSES:
                 raise SurfaceError(f'more than {MOST_PASSES} passes; is the scallop height right?')
             passes.append(self.next_pass(passes[-1], len(passes) + 1))
-            if progress:
-                progress(min(1.0, (passes[-1].plane - first) / (last - first)))
-        if progress:
-            progress(1.0)
+            progress(min(1.0, (passes[-1].plane - first) / (last - first)))
+        progress(1.0)
         return passes
 
     def first_pass(self) -> Pass:
@@ -408,7 +406,7 @@ def iso_scallop_paths(
     cutter: Cutter,
     plane_normal: FloatArray,
     options: IsoScallopOptions,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> IsoScallopPaths:
     """Find passes of constant scallop height on a surface [TL2008].
 

@@ -85,14 +85,13 @@ def make_program(request: CamRequest) -> int:
     if request.run or request.simulate:
         motions.append(programmed(program))
         if request.run:
-            progress = _progress(request)
-            summary['cycle_time'] = plan_to_files(
-                open_program(file, Transform.of(machine), reading),
-                machine,
-                out / 'plan',
-                progress=progress.of('planning'),
-            )['cycle_time']
-            progress.end(complete=True)
+            with _progress(request) as progress:
+                summary['cycle_time'] = plan_to_files(
+                    open_program(file, Transform.of(machine), reading),
+                    machine,
+                    out / 'plan',
+                    progress=progress.of('planning'),
+                )['cycle_time']
             files = read_plan(out / 'plan').in_memory()
             motions += [planned(files, machine), _executed(files, machine, request)]
     figures = _drawn(faces, motions, summary, request)
@@ -191,14 +190,9 @@ def _part(request: CutRequest) -> Part:
 
 
 def _followed(surface: Surface, normal: FloatArray, request: CamRequest) -> Strips:
-    progress, complete = _progress(request), False
-    show = progress.of('passes')
-    try:
-        paths = request.strategy.passes(surface, request.cutter, normal, request.passes, show)
-        complete = True
-    finally:
-        progress.end(complete=complete)
-    return paths
+    with _progress(request) as progress:
+        show = progress.of('passes')
+        return request.strategy.passes(surface, request.cutter, normal, request.passes, show)
 
 
 def _executed(files: PlanFiles, machine: Machine, request: CutRequest) -> Motion:
@@ -253,10 +247,9 @@ def _cut(
     surface: Surface, motion: Motion, normal: FloatArray, request: CutRequest
 ) -> tuple[Heights, Section]:
     needles, cutter = Needles.on(surface, request.spacing, request.margin), request.cutter
-    progress = _progress(request)
-    show = progress.of(f'cutting, {motion.name}')
-    heights = cut_needles(needles, cutter, motion.tip, motion.axis, show, request.device)
-    progress.end(complete=True)
+    with _progress(request) as progress:
+        show = progress.of(f'cutting, {motion.name}')
+        heights = cut_needles(needles, cutter, motion.tip, motion.axis, show, request.device)
     return heights, cross_sections(surface, cutter, motion, normal, request.margin)
 
 

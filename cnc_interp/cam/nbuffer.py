@@ -51,7 +51,7 @@ def cut_needles(
     cutter: Cutter,
     tip: FloatArray,
     axis: FloatArray,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
     device: Device = 'cpu',
 ) -> Heights:
     sweep = MotionPieces.of(cutter, tip, axis)
@@ -62,9 +62,8 @@ def cut_needles(
         part = slice(i, i + tall), slice(j, j + wide)
         here = needles.part(*part)
         height[part] = cut_part(here, sweep.near(*here.ball), device)
-        if progress:
-            done = min(i + tall, rows) * columns if j + wide >= columns else i * columns + tall * j
-            progress(min(1.0, done / height.size))
+        done = min(i + tall, rows) * columns if j + wide >= columns else i * columns + tall * j
+        progress(min(1.0, done / height.size))
     return Heights(needles, height)
 
 

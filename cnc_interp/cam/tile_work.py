@@ -61,19 +61,15 @@ def simulate_in_tiles(
     }
     store = HeightStore(out, grid, about)
     workers = request.workers or len(os.sched_getaffinity(0))
-    bar = ProgressBar(None if request.json else sys.stderr)
+    sweep = MotionPieces.of(cutter, motion.tip, motion.axis)
 
     def tell(progress: TileProgress) -> None:
         known = f', {progress.known} known before' if progress.known else ''
         bar.show('cutting', progress.share, f'{progress.done} of {progress.total} tiles{known}')
 
-    sweep, done = MotionPieces.of(cutter, motion.tip, motion.axis), False
-    try:
+    with ProgressBar(None if request.json else sys.stderr) as bar:
         crew = request.pool(request.scheduler, workers)
         reached = cut_tiles(grid, sweep, crew, store, tell, request.device)
-        done = True
-    finally:
-        bar.end(complete=done)
     figures = store.figures()
     page = TilePage(store, grid, request.scallop)
     away = store.make_levels(figures.mean, page.add_tile)

@@ -105,17 +105,14 @@ def batch_command(options: argparse.Namespace) -> int:
     memory = options.memory * GIGABYTE if options.memory else None
     longest = options.longest * MINUTE
     workers = workers_of(options.scheduler, options.workers, memory, longest)
-    bar = ProgressBar(None if options.json else sys.stderr)
 
     def tell(progress: Progress) -> None:
         known = f', {progress.known} known before' if progress.known else ''
         bar.show('planning', progress.share, f'{progress.done} of {progress.total}{known}')
 
-    try:
+    with ProgressBar(None if options.json else sys.stderr) as bar:
         store = Store(options.out / 'results', TaskOutcome.of_json)
         results = run_batch(jobs, workers, store, tell, options.workers)
-    finally:
-        bar.end(complete=False)
     files = write_tables(results, options.rate, options.out)
     write_page(results, options.rate, options.out / 'batch.html')
     counts = Counter(outcome.row.verdict for _, outcome in results)
@@ -189,7 +186,6 @@ def sweep_command(options: argparse.Namespace) -> int:
     ranges = [_range(words, options.search is not None) for words in options.vary]
     _check_options(options.commands, options.words, ranges)
     total = 1 + (options.search or math.prod(len(one.values) for one in ranges))
-    bar = ProgressBar(sys.stderr)
     workers = Processes(options.workers, total_memory() / options.workers, HOUR)
     sweep = points.Sweep(
         options.main,
@@ -198,13 +194,11 @@ def sweep_command(options: argparse.Namespace) -> int:
         workers,
         lambda done: bar.show('sweeping', min(1.0, done / total), f'{done} points'),
     )
-    try:
+    with ProgressBar(sys.stderr) as bar:
         if options.search:
             sweep.search(ranges, options.search)
         else:
             sweep.grid(ranges)
-    finally:
-        bar.end(complete=False)
     points.write_table(sweep.found, options.out / 'sweep.csv')
     points.write_page(sweep.found, options.out / 'sweep.html')
     best = points.front(sweep.found)

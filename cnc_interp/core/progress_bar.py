@@ -5,7 +5,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import TextIO
+from typing import Self, TextIO
 
 BAR = 30  #: Length of the bar [characters].
 PATIENCE = 1.0  #: No progress is shown for work that takes less time than this [s].
@@ -36,7 +36,7 @@ class TimeLeft:
 
 
 class ProgressBar:
-    """Shows which part of the work is done; without a stream nothing."""
+    """Shows which part of the work is done, while it is entered; without a stream nothing."""
 
     def __init__(self, stream: TextIO | None):
         self._stream = stream
@@ -48,6 +48,12 @@ class ProgressBar:
         self._work = ''
         self._step = 0
         self._width = 0  # width of the line on the terminal [characters]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.end(complete=kind is None)
 
     def of(self, work: str) -> Callable[[float], None]:
         return lambda share: self.show(work, share)

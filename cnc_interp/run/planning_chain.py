@@ -117,7 +117,7 @@ def plan_to_files(
     machine: Machine,
     directory: Path,
     settings: Settings | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
     processes: int = 1,
 ) -> dict[str, Any]:
     """Plan a program while it is read and write its plan files; memory does not grow with it.
@@ -158,10 +158,9 @@ def plan_to_files(
                 rows_read += len(part)
                 for batch in batches(part):
                     chain.push(batch)
-                    if progress:
-                        # Planning takes most of the time, and reading is ahead of it.
-                        told = max(told, stream.share * chain.row_planned / rows_read)
-                        progress(told)
+                    # Planning takes most of the time, and reading is ahead of it.
+                    told = max(told, stream.share * chain.row_planned / rows_read)
+                    progress(told)
             chain.finish()
             if chain.clearance is not None:
                 chain.clearance.require(stream.source)

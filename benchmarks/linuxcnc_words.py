@@ -18,6 +18,7 @@ import json
 import random
 import re
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -37,6 +38,7 @@ PLANES = {'G17': ('XYZ', 'IJ'), 'G18': ('ZXY', 'KI'), 'G19': ('YZX', 'JK')}
 CYCLES = 'G81', 'G82', 'G83', 'G73', 'G85', 'G86', 'G89', 'G84', 'G74'
 LENGTHS = {1: 0.010, 2: 0.025}  # [m]
 ALIKE, DIFFERENT = 'alike', 'DIFFERENT'
+TOGETHER = 25  #: Expressions that LinuxCNC evaluates in one process.
 KINDS = {
     'line': 0.22,
     'rapid': 0.10,
@@ -311,31 +313,47 @@ class Readers:
     def by_linuxcnc(self, text: str, rows: int) -> list[ReadMove | ReadCall]:
         return list(read_by_linuxcnc(text, self.machine.axis_names, False, rows, self.setup))
 
-    def expression(self, seed: int) -> tuple[str, str]:
-        """Evaluate a random expression by both readers; return what came of it, and values."""
-        wanted = expression(random.Random(seed))
-        text = f'G21 G90\n#1=4\n#2=-6\n#3=0.75\n#4=[{wanted}]\nG0 X[#4]\nM2\n'
-        ours: float | str
-        theirs: float | str
-        try:
-            ours = 1e3 * float(self.by_us(text).tip[-1, 0])
-        except InterpError as problem:
-            ours = cause_of(str(problem).splitlines()[0])
-        try:
-            moves = [each for each in self.by_linuxcnc(text, 10) if isinstance(each, ReadMove)]
-            theirs = 1e3 * float(moves[-1].end[0]) if moves else 0.0
-        except LinuxCNCError as problem:
-            theirs = cause_of(str(problem))
-        if isinstance(ours, str) or isinstance(theirs, str):
-            both = isinstance(ours, str) and isinstance(theirs, str)
-            by_us, why = isinstance(ours, str), ours if isinstance(ours, str) else theirs
-            who = 'us' if by_us else 'LinuxCNC'
-            return 'refused by both' if both else f'refused by {who}: {why}', wanted
-        alike = abs(ours - theirs) <= 1e-4 + 1e-9 * abs(theirs)
-        return ALIKE if alike else DIFFERENT, f'{wanted}  {ours}  {theirs}'
+    def expressions(self, seeds: range) -> Iterator[tuple[int, str, str]]:
+        """Evaluate random expressions by both readers; yield seed, what came of it, and values.
 
-    def program(self, seed: int) -> tuple[str, tuple[str, ...], int]:
-        """Read a random program by both; return what came of it, faults, and motions alike."""
+        LinuxCNC reads many of them at once, and each alone where it refuses one.
+        """
+        for first in range(seeds.start, seeds.stop, TOGETHER):
+            some = range(first, min(first + TOGETHER, seeds.stop))
+            wanted = {seed: expression(random.Random(seed)) for seed in some}
+            ours = {seed: self._ours(text) for seed, text in wanted.items()}
+            known = [seed for seed in some if not isinstance(ours[seed], str)]
+            theirs = dict(zip(known, self._theirs([wanted[seed] for seed in known]), strict=False))
+            for seed in some:
+                value = theirs.get(seed)
+                if value is None or len(theirs) < len(known):
+                    value = next(iter(self._theirs([wanted[seed]])))
+                told = f'{wanted[seed]}  {ours[seed]}  {value}'
+                yield seed, _came_of(ours[seed], value), told
+
+    def _ours(self, wanted: str) -> float | str:
+        try:
+            return 1e3 * float(self.by_us(_evaluating([wanted])).tip[-1, 0])
+        except InterpError as problem:
+            return cause_of(str(problem).splitlines()[0])
+
+    def _theirs(self, wanted: list[str]) -> list[float | str]:
+        """Return the values of LinuxCNC, or why it refuses the first one that it refuses."""
+        values: list[float | str] = []
+        try:
+            for move in self.by_linuxcnc(_evaluating(wanted), 4 * len(wanted))[1:]:
+                assert isinstance(move, ReadMove)
+                values.append(1e3 * float(move.end[0]))
+        except LinuxCNCError as problem:
+            return [*values, cause_of(str(problem))]
+        return values
+
+    def programs(self, seeds: range) -> Iterator[tuple[int, str, str]]:
+        """Read random programs by both readers; yield seed, what came of it, and faults."""
+        for seed in seeds:
+            yield (seed, *self.program(seed))
+
+    def program(self, seed: int) -> tuple[str, str]:
         text, refused, rows = made(seed), '', 4000
         try:
             blocks = self.by_us(text)
@@ -347,16 +365,32 @@ class Readers:
             moves = self.by_linuxcnc(text, rows)
         except LinuxCNCError as problem:
             why = f'refused by LinuxCNC, {cause_of(str(problem))}'
-            return 'refused by both' if refused else why, (), 0
+            return 'refused by both' if refused else why, ''
         if refused:
-            return f'refused by us, {refused}', (), 0
+            return f'refused by us, {refused}', ''
         found = compare_places(columns, self.machine, moves)
         what = ALIKE
         if found.faults and (rounded := re.sub(r'(?<=Q)[\d.]+', _a_little_more, text)) != text:
             # LinuxCNC pecks once more where only rounding is left.
             found = compare_places(columns, self.machine, self.by_linuxcnc(rounded, rows))
             what = 'alike but for a peck of rounding'
-        return DIFFERENT if found.faults else what, found.faults[:2], found.motions
+        return DIFFERENT if found.faults else what, '\n  '.join(found.faults[:2])
+
+
+def _evaluating(wanted: list[str]) -> str:
+    """Return a program whose motions lead to the values of expressions, each to one."""
+    lines = (f'#4=[{each}]\nG0 X[#4] Y{k}\n' for k, each in enumerate(wanted))
+    return f'G21 G90\n#1=4\n#2=-6\n#3=0.75\n{"".join(lines)}M2\n'
+
+
+def _came_of(ours: float | str, theirs: float | str) -> str:
+    if isinstance(ours, str) and isinstance(theirs, str):
+        return 'refused by both'
+    if isinstance(ours, str):
+        return f'refused by us: {ours}'
+    if isinstance(theirs, str):
+        return f'refused by LinuxCNC: {theirs}'
+    return ALIKE if abs(ours - theirs) <= 1e-4 + 1e-9 * abs(theirs) else DIFFERENT
 
 
 def _a_little_more(peck: re.Match[str]) -> str:
@@ -381,12 +415,9 @@ def main() -> None:
         print(made(options.show))
     counts: Counter[str] = Counter()
     readers = Readers()
-    for seed in range(options.first, options.first + options.count):
-        if options.expressions:
-            what, *told = readers.expression(seed)
-        else:
-            what, told, motions = readers.program(seed)
-            counts['motions alike'] += motions
+    seeds = range(options.first, options.first + options.count)
+    judged = readers.expressions if options.expressions else readers.programs
+    for seed, what, *told in judged(seeds):
         counts[what] += 1
         if what == DIFFERENT:
             print(seed, *told, sep='\n  ', flush=True)

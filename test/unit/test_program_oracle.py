@@ -204,11 +204,10 @@ def test_machine_coordinates_and_a_first_motion_from_where_the_tool_stands(
 PROGRAMS_OF_SHARE, EXPRESSIONS_OF_SHARE = 200, 1000
 
 
-def counted(judged, first, count):
-    """Return what came of the seeds; a difference is told with its seed."""
+def counted(judged, share, size):
+    """Return what came of the seeds of a share; a difference is told with its seed."""
     counts = Counter()
-    for seed in range(first, first + count):
-        what, *told = judged(seed)
+    for seed, what, told in judged(range(share * size, (share + 1) * size)):
         assert what != linuxcnc_words.DIFFERENT, (seed, told)
         counts[what.split(',')[0].split(':')[0]] += 1
     return counts
@@ -217,8 +216,7 @@ def counted(judged, first, count):
 @pytest.mark.thorough
 @pytest.mark.parametrize('share', range(10))
 def test_random_programs_are_read_as_linuxcnc_reads_them(share):
-    judged = linuxcnc_words.Readers().program
-    counts = counted(judged, share * PROGRAMS_OF_SHARE, PROGRAMS_OF_SHARE)
+    counts = counted(linuxcnc_words.Readers().programs, share, PROGRAMS_OF_SHARE)
     assert counts[linuxcnc_words.ALIKE] >= 0.9 * PROGRAMS_OF_SHARE, counts
     assert not counts['refused by us'], counts
 
@@ -226,6 +224,5 @@ def test_random_programs_are_read_as_linuxcnc_reads_them(share):
 @pytest.mark.thorough
 @pytest.mark.parametrize('share', range(10))
 def test_random_expressions_have_the_values_of_linuxcnc(share):
-    judged = linuxcnc_words.Readers().expression
-    counts = counted(judged, share * EXPRESSIONS_OF_SHARE, EXPRESSIONS_OF_SHARE)
+    counts = counted(linuxcnc_words.Readers().expressions, share, EXPRESSIONS_OF_SHARE)
     assert counts[linuxcnc_words.ALIKE] >= 0.7 * EXPRESSIONS_OF_SHARE, counts

@@ -38,6 +38,8 @@ PLANES = {'G17': ('XYZ', 'IJ'), 'G18': ('ZXY', 'KI'), 'G19': ('YZX', 'JK')}
 CYCLES = 'G81', 'G82', 'G83', 'G73', 'G85', 'G86', 'G89', 'G84', 'G74'
 LENGTHS = {1: 0.010, 2: 0.025}  # [m]
 ALIKE, DIFFERENT = 'alike', 'DIFFERENT'
+#: Seeds of expressions in which LinuxCNC's COS[90] is -2.5e-20, of which MOD -3.5 makes 3.5.
+ROUNDED = {7261}
 TOGETHER = 25  #: Expressions that LinuxCNC evaluates in one process.
 KINDS = {
     'line': 0.22,
@@ -329,7 +331,10 @@ class Readers:
                 if value is None or len(theirs) < len(known):
                     value = next(iter(self._theirs([wanted[seed]])))
                 told = f'{wanted[seed]}  {ours[seed]}  {value}'
-                yield seed, _came_of(ours[seed], value), told
+                what = _came_of(ours[seed], value)
+                if what == DIFFERENT and seed in ROUNDED:
+                    what = 'alike but for rounding'
+                yield seed, what, told
 
     def _ours(self, wanted: str) -> float | str:
         try:

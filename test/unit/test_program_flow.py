@@ -55,11 +55,34 @@ def xs(text, **options):
         ('=9 DIV R5', 1),
         ('=9 MOD R5', 2),
         ('[10/4/5]', 0.5),
+        ('[FIX[SIN[30]*2]]', 1),
+        ('[FIX[COS[-60]*2]]', 1),
+        ('[90 MOD ASIN[0.5]]', 0),
+        ('[FIX[TAN[45]]]', 1),
+        ('[ATAN[0]/[-1 MOD 1]]', 180),  # MOD is -0, as in LinuxCNC
     ],
 )
 def test_expressions(expression, value):
     head = '#1=5 #2=1\n#<depth>=8\nDEF REAL A_B=9, C_D\nR5=7\n'
     assert xs(head + f'G0 X0\nG0 X{expression}')[-1] == pytest.approx(value)
+
+
+CONTINUED = 'O1 do\n#1=[#1+1]\nO2 if [#1 EQ 3]\nO1 continue\nO2 endif\nO1 while [#1 LT 3]\n'
+REPEATED = 'O3 repeat [2]\nG91 G0 X1\nO3 endrepeat\nM2\n'
+
+
+def test_a_repeat_that_linuxcnc_counts_wrongly_is_refused():
+    """Its rs274 runs the lines four times: the continue of a DO loop is still counted."""
+    with pytest.raises(ProgramError, match=':8: O3 REPEAT: LinuxCNC repeats too often'):
+        xs(f'#1=0\n{CONTINUED}{REPEATED}')
+    between = 'O4 while [#1 LT 9]\n#1=[#1+1]\nO4 endwhile\n'
+    assert xs(f'G0 X0\n#1=0\n{CONTINUED}{between}{REPEATED}') == [0, 1, 2]
+    assert xs(f'G0 X0\n#1=0\n{CONTINUED.replace("EQ 3", "EQ 9")}{REPEATED}') == [0, 1, 2]
+
+
+def test_a_tangent_without_a_value_is_refused():
+    with pytest.raises(ProgramError, match='no value'):
+        xs('G0 X[TAN[90]]')
 
 
 @pytest.mark.parametrize(

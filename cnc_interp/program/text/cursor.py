@@ -64,6 +64,7 @@ class Cursor:
         self.ran_out = False  # whether the text ended before the program did
         self.restoring: Any = None  # what the last subprogram saved by M73
         self.has_o_words = False  # whether a flow word of LinuxCNC was executed
+        self.continued = False  # whether CONTINUE was executed in a DO loop of LinuxCNC
         self.returned = 0.0, 0.0  # the value of the last O- RETURN, and whether it gave one
         self.row, self.window, self._window_of = 0, source.window(source.start), source
 

@@ -175,8 +175,7 @@ def _value(node: Node, variables: ProgramVariables) -> float:
         return _chain(node, variables)
     left, operator, right = node[1], str(node[2]), node[3]
     if operator == '/' and left[0] == 'call' and left[1] == 'ATAN' and right[0] == 'group':
-        x = _value(right, variables)
-        return math.degrees(math.atan2(_value(left[2], variables), x))
+        return _arc_tangent(_value(left[2], variables), _value(right, variables))
     if operator.split()[0] in _EQUAL and NOTHING in (left, right):
         # Fanuc: #0 is equal to what has no value, and to nothing else.
         other = right if left == NOTHING else left
@@ -286,7 +285,7 @@ OPERATORS: dict[str, Callable[[float, float], float]] = {
     'LEN': math.hypot,
     'ANG': lambda x, y: math.degrees(math.atan2(x, y)) % 360.0,
     'MOD': math.fmod,
-    'MOD of LinuxCNC': lambda x, y: x % abs(y),
+    'MOD of LinuxCNC': lambda x, y: left if (left := math.fmod(x, y)) >= 0.0 else left + abs(y),
     'MOD of Fanuc': lambda x, y: math.fmod(_whole(x), _whole(y)),
     'DIV': lambda x, y: float(math.trunc(x / y)),
     **dict.fromkeys(('AND of bits', 'B_AND'), lambda x, y: _whole(x) & _whole(y)),
@@ -361,18 +360,36 @@ def _whole(value: float) -> int:
     return int(math.copysign(math.floor(abs(value) + 0.5), value))
 
 
+def _at_half(value: float) -> float:
+    """Return a whole or half number for one beside it by rounding: SIN[30] is 0.5."""
+    nearest = round(2.0 * value) / 2.0
+    return nearest if abs(value - nearest) < 1e-15 * max(1.0, abs(value)) else value
+
+
+def _sine(x: float) -> float:
+    return _at_half(math.sin(math.radians(x)))
+
+
+def _cosine(x: float) -> float:
+    return _at_half(math.cos(math.radians(x)))
+
+
+def _arc_tangent(y: float, x: float = 1.0) -> float:
+    return _at_half(math.degrees(math.atan2(y, x)))
+
+
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
     'ABS': ((1,), abs),
     'SQRT': ((1,), math.sqrt),
     'SQR': ((1,), math.sqrt),
     **dict.fromkeys(('POT', 'SQ'), ((1,), lambda x: x * x)),
-    'SIN': ((1,), lambda x: math.sin(math.radians(x))),
-    'COS': ((1,), lambda x: math.cos(math.radians(x))),
-    'TAN': ((1,), lambda x: math.tan(math.radians(x))),
-    'ASIN': ((1,), lambda x: math.degrees(math.asin(x))),
-    'ACOS': ((1,), lambda x: math.degrees(math.acos(x))),
-    'ATAN': ((1, 2), lambda y, x=1.0: math.degrees(math.atan2(y, x))),
-    'ATAN2': ((2,), lambda y, x: math.degrees(math.atan2(y, x))),
+    'SIN': ((1,), _sine),
+    'COS': ((1,), _cosine),
+    'TAN': ((1,), lambda x: _at_half(_sine(x) / _cosine(x))),
+    'ASIN': ((1,), lambda x: _at_half(math.degrees(math.asin(x)))),
+    'ACOS': ((1,), lambda x: _at_half(math.degrees(math.acos(x)))),
+    'ATAN': ((1, 2), _arc_tangent),
+    'ATAN2': ((2,), _arc_tangent),
     'EXP': ((1,), math.exp),
     'LN': ((1,), math.log),
     'LOG': ((1,), math.log10),

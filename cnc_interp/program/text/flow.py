@@ -312,11 +312,18 @@ class Flow(Cursor):
             loop = self._loop_of(what, word)
             end = self.end_of(loop.word, what)
             if word == 'CONTINUE':
+                self.continued = loop.word == 'DO'
                 self.go(end)
             else:
                 self.loops.pop()
                 self.after(end)
         elif word in ENDS and not ends_do:
+            self.refuse_if(
+                word == 'REPEAT' and what.label and self.continued,
+                'LinuxCNC repeats too often after a continue in a DO loop; write WHILE',
+                f'{what.label} REPEAT',
+            )
+            self.continued = self.continued and word != 'WHILE'
             self._enter(what, word, rest)
         else:
             loop = self._loop_of(what, word)

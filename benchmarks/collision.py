@@ -4,6 +4,7 @@ Clearances: random scenes with a known result, certificates, and programs with c
     python benchmarks/collision.py --quick      # a seeded share of the scenes, at most two minutes
     python benchmarks/collision.py              # 1,000 hits, 1,000 clear scenes, four programs
     python benchmarks/collision.py --programs   # the programs alone
+    python benchmarks/collision.py --stock      # volumes of the stock, and segments per second
 
 A scene has two convex bodies on links of a machine and a path on which all axes move. One body is
 moved until the least distance along the path, by dense sampling, is a chosen one: below the
@@ -40,8 +41,12 @@ from collision_cases import (
 
 from cnc_interp.collision.clearance import descend
 from cnc_interp.collision.enclosure import position
+from cnc_interp.collision.follow import cut_along
 from cnc_interp.collision.hits import apart
 from cnc_interp.collision.link_poses import pose_links
+from cnc_interp.collision.mill_sweep import AXIS, MOTION, MOVE, TIP, slabs_of
+from cnc_interp.collision.scene_file import read_scene
+from cnc_interp.collision.stock import field_of
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.clearance import links_of
@@ -58,6 +63,10 @@ LINKS = {
     'xyzacw': [('tool_tip', 'workpiece'), ('c_table', 'w_slide')],
     'bc_trunnion': [('tool_tip', 'workpiece'), ('z_slide', 'b_table')],
 }
+BLOCK = """
+stock: {link: workpiece, box_mm: {low: [-20, -20, -10], high: [20, 20, 0]}}
+tools:
+"""
 CLAMPS = """
 include: {machine}
 bodies:
@@ -265,12 +274,59 @@ def programs():
             )
 
 
+def stock():
+    """Print volumes against closed forms, and how many segments of 1 mm a second are cut."""
+    bodies = BLOCK + ''.join(
+        f'  {number}: {{diameter_mm: 6, corner_mm: {corner}, flute_mm: 12}}\n'
+        for number, corner in enumerate((0, 3, 1), 1)
+    )
+    with tempfile.TemporaryDirectory() as temporary:
+        file = Path(temporary) / 'scene.yaml'
+        file.write_text(bodies)
+        found = read_scene(file).bodies
+    block = next(body for body in found if body.name == 'stock')
+    mills = [body for body in found if body.name == 'cutter']
+    layer = [
+        lambda z: 3.0,
+        lambda z: np.sqrt(max(9.0 - (3.0 - z) ** 2, 0.0)),
+        lambda z: 2.0 + np.sqrt(max(1.0 - (1.0 - z) ** 2, 0.0)) if z < 1.0 else 3.0,
+    ]
+    heights = (np.arange(30000) + 0.5) * 1e-4
+    print(f'{"mill":<10}{"grid mm":>9}{"error x":>10}{"y":>10}{"z":>10}{"segments/s, z":>15}')
+    still = np.zeros((1, MOTION))
+    still[0, AXIS + 2] = 1.0
+    cut_along(field_of(block, 0, 4e-4, True), still, slabs_of(mills[0]), 4e-5)  # compiles
+    for name, mill, width in zip(('flat', 'ball', 'bull'), mills, layer, strict=True):
+        radii = np.array([width(z) for z in heights])
+        exact = (20.0 * 2.0 * radii + np.pi * radii**2).mean() * 3.0
+        ends = np.linspace(-10.0, 10.0, 21)[:, None] * [np.cos(0.3), np.sin(0.3), 0.0]
+        points = (ends - [0.0, 0.0, 3.0]) * 1e-3
+        rows = np.zeros((20, MOTION))
+        rows[:, TIP : TIP + 3] = 0.5 * (points[1:] + points[:-1])
+        rows[:, AXIS + 2] = 1.0
+        rows[:, MOVE : MOVE + 3] = 0.5 * np.diff(points, axis=0)
+        for grid in (4e-4, 2e-4, 1e-4):
+            errors = []
+            for axis in range(3):
+                made = field_of(block, axis, grid, True)
+                begun = time.process_time()
+                _, removed = cut_along(made, rows, slabs_of(mill), 0.1 * grid)
+                seconds = time.process_time() - begun
+                errors.append(removed.sum() * 1e9 / exact - 1.0)
+            told = ''.join(f'{error:>+10.3%}' for error in errors)
+            print(f'{name:<10}{grid * 1e3:>9.2f}{told}{20 / seconds:>15.0f}', flush=True)
+
+
 def main():
     parser = ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--quick', action='store_true', help='a seeded share, two minutes at most')
     parser.add_argument('--programs', action='store_true', help='the programs alone')
+    parser.add_argument('--stock', action='store_true', help='volumes and speed of the stock')
     parser.add_argument('--scenes', type=int, default=1000, help='scenes of each kind (1000)')
     options = parser.parse_args()
+    if options.stock:
+        stock()
+        return 0
     if options.programs:
         programs()
         return 0
@@ -285,6 +341,7 @@ def main():
         number += 1
     if not options.quick:
         programs()
+        stock()
     share = counts.wrong['clear'] / max(counts.scenes['clear'], 1)
     print(
         f'hits {counts.scenes["hit"]}, {counts.short} of them shorter than a setpoint, '

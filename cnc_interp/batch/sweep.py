@@ -25,6 +25,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import html
 from cnc_interp.report.series import AT_LIMIT, at_limits, axis_use
+from cnc_interp.run.plan_figures import collision_text
 
 #: Points of a generation of the search, for each option; decimals of their values.
 GENERATION, DIGITS = 5, 4
@@ -70,6 +71,7 @@ class Found:
     fault: str = ''  #: Why there is no motion, else ''.
     #: The highest ridge between passes, if the command makes a surface [m].
     scallop: float | None = None
+    collision: str = ''  #: What the check of clearances found, of a command with a scene.
 
 
 Main = Callable[[Sequence[str]], int]
@@ -95,13 +97,14 @@ def run_point(call: Call) -> Found:
     summary = read_json(out / 'summary.json')
     plan = out / 'plan' if (out / 'plan').is_dir() else out
     if code:
-        return Found(fault='not proven')
+        return Found(fault='not proven', collision=collision_text(summary))
     surface = next((summary[name] for name in SIMULATED if name in summary), None)
-    shares = shares_at_limits(plan)
+    shares, told = shares_at_limits(plan), collision_text(summary)
     if surface is None:
-        return Found(summary['cycle_time'], summary['largest_contour_error'], shares)
-    deepest = max(0.0, -surface['lowest'])
-    return Found(summary['cycle_time'], deepest, shares, scallop=surface.get('ridge_highest'))
+        error = summary['largest_contour_error']
+        return Found(summary['cycle_time'], error, shares, collision=told)
+    deepest, ridge = max(0.0, -surface['lowest']), surface.get('ridge_highest')
+    return Found(summary['cycle_time'], deepest, shares, scallop=ridge, collision=told)
 
 
 def shares_at_limits(folder: Path) -> dict[str, float]:
@@ -274,9 +277,9 @@ def write_table(found: dict[Point, Found], file: Path) -> None:
     for point, one in found.items():
         values = dict(point.values)
         lengths = [None if x is None else x / UM for x in (one.scallop, one.error)]
-        own = (one.cycle_time, *lengths, why(one), one.fault)
+        own = (one.cycle_time, *lengths, why(one), one.fault, one.collision)
         rows.append([*(values.get(n) for n in names), *own])
-    heads = 'cycle_time_s', 'scallop_um', 'error_um', 'at_limit', 'fault'
+    heads = 'cycle_time_s', 'scallop_um', 'error_um', 'at_limit', 'fault', 'collision'
     write_whole(file, csv_text([*names, *heads], rows))
 
 

@@ -25,6 +25,7 @@ from cnc_interp.program import JobSetup, open_program
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.parallel_planner import LostProcessError
+from cnc_interp.run.plan_figures import collision_text
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings, with_texts
 
@@ -86,7 +87,7 @@ def _planned(task: Task, processes: int) -> Row:
         **{name: summary[name] for name in SAME} | uses,
         contour_used=proof.largest('contour error').ratio,
         orientation_used=proof.largest('orientation error').ratio,
-        notices=tuple(stream.notices),
+        notices=tuple(stream.notices) + ((told,) if (told := collision_text(summary)) else ()),
         plan_hash=digest,
     )
 

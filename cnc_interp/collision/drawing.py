@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cnc_interp.collision.mesh_file import HEADER, TRIANGLE
+from cnc_interp.collision.mesh_file import stl_of
 from cnc_interp.collision.scene import Placed, Role, Scene
 from cnc_interp.collision.shapes import Piece
 from cnc_interp.core import FloatArray
@@ -27,10 +27,7 @@ class DrawnBody:
 
     def stl(self) -> bytes:
         """Return the surface as a binary STL file, in metres."""
-        rows = np.zeros(len(self.triangles), TRIANGLE)
-        rows['corners'] = self.triangles
-        head = b'cnc_interp, metres'.ljust(HEADER - 4)
-        return head + len(rows).to_bytes(4, 'little') + rows.tobytes()
+        return stl_of(self.triangles, 'cnc_interp, metres')
 
 
 def drawn_bodies(scene: Scene, machine: Machine) -> Iterator[DrawnBody]:
@@ -42,9 +39,9 @@ def drawn_bodies(scene: Scene, machine: Machine) -> Iterator[DrawnBody]:
         yield DrawnBody(body.name, body.link, body.role, body.tool, triangles)
 
 
-def surface(piece: Piece) -> FloatArray:
-    """Return triangles of a convex piece, with rims and balls of some points, (m, 3, 3) [m]."""
-    points = rim_points(piece.discs, piece.along, piece.round)
+def surface(piece: Piece, around: int = AROUND) -> FloatArray:
+    """Return triangles of a convex piece, with rims of so many points, (m, 3, 3) [m]."""
+    points = rim_points(piece.discs, piece.along, piece.round, around)
     hull = ConvexHull(points)
     corners = points[hull.simplices]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -52,14 +49,19 @@ def surface(piece: Piece) -> FloatArray:
     return np.where(inward[:, None, None], corners[:, ::-1], corners)
 
 
-def rim_points(disc: FloatArray, along: FloatArray, round: float) -> FloatArray:  # noqa: A002
+def rim_points(
+    disc: FloatArray,
+    along: FloatArray,
+    round: float,  # noqa: A002
+    around: int = AROUND,
+) -> FloatArray:
     """Return points whose hull is a piece, for a drawing, (k, 3) [m]."""
     side = np.linalg.svd(along[None, :])[2][1:]
-    angle = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
+    angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
     rim = np.cos(angle)[:, None] * side[0] + np.sin(angle)[:, None] * side[1]
     points = (disc[:, None, :3] + disc[:, None, 3:] * rim).reshape(-1, 3)
     if round:
-        ball = np.vstack([rim, along, -along])
-        tilted = [np.cos(t) * rim + np.sin(t) * along for t in (-1.0, -0.5, 0.5, 1.0)]
-        points = (points[:, None] + round * np.vstack([ball, *tilted])).reshape(-1, 3)
+        tilts = np.linspace(-0.5 * np.pi, 0.5 * np.pi, around // 4 + 1)
+        ball = np.vstack([np.cos(tilt) * rim + np.sin(tilt) * along for tilt in tilts])
+        points = (points[:, None] + round * ball).reshape(-1, 3)
     return np.unique(points, axis=0)

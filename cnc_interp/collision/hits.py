@@ -54,6 +54,7 @@ class Hit:
     short: float  #: By how much the bodies come nearer than their clearance there [m].
     s: float  #: Path length where they first do [m].
     q: tuple[float, ...]  #: Axis positions there [m, rad].
+    material: bool = False  #: It enters remaining material, on so long a way.
 
     def to_json(self, machine: Machine) -> dict[str, Any]:
         return {
@@ -67,10 +68,9 @@ class Hit:
 
     def text(self, machine: Machine) -> str:
         one, other = self.names
-        where = place_text(machine.axes, self.q)
-        return (
-            f'hit: line {self.line}, {one} and {other}, {self.short / MM:.3g} mm short at {where}'
-        )
+        what = 'of material' if self.material else 'short'
+        where = f'{self.short / MM:.3g} mm {what} at {place_text(machine.axes, self.q)}'
+        return f'hit: line {self.line}, {one} and {other}, {where}'
 
 
 @njit(cache=True, nogil=True)

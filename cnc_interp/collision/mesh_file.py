@@ -41,6 +41,13 @@ def triangles_of(file: Path, unit: float, chord: float) -> FloatArray:
     return _closed(file, corners)
 
 
+def stl_of(corners: FloatArray, head: str) -> bytes:
+    """Return triangles, (m, 3, 3), as a binary STL file."""
+    rows = np.zeros(len(corners), TRIANGLE)
+    rows['corners'] = corners
+    return head.encode().ljust(80) + len(rows).to_bytes(HEADER - 80, 'little') + rows.tobytes()
+
+
 def _stl_triangles(file: Path) -> FloatArray:
     content = file.read_bytes()
     count = int.from_bytes(content[80:HEADER], 'little')

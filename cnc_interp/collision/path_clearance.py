@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +30,9 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.links import TOOL_TIP
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks.functions import Functions
+
+if TYPE_CHECKING:
+    from cnc_interp.collision.follow import Contact, CutStock, Spans
 
 LEAVES = 1e-7  #: Bodies that are too near move apart by hand if they gain more [m].
 EVERY = 4  #: The least distance is measured at the begin of every so many cells.
@@ -86,6 +91,15 @@ class PathClearance:
         self._tools = np.zeros(0, np.int64), np.zeros(0, np.int64)  # rows, numbers
         self.figures = ClearanceFigures(pairs=len(placed.pairs))
 
+    @cached_property
+    def stock(self) -> CutStock | None:
+        """The stock that is cut along the path, of a scene with a stock and tools."""
+        if not self.scene.grid or not self.scene.tools:
+            return None
+        from cnc_interp.collision.follow import CutStock  # loaded with a stock only
+
+        return CutStock(self.placed, self._space)
+
     def call_tools(self, functions: Functions) -> None:
         """Take the functions of the program so far, which tell from which row on a tool is in."""
         signals = self.machine.signals
@@ -120,30 +134,30 @@ class PathClearance:
             What proves all else, and the hits.
 
         """
-        lines = np.array([line_of(int(row)) for row in path.cell_block])
-        ends = np.append(np.flatnonzero(np.diff(lines)), len(lines) - 1)
-        line_end = path.s[1 + ends[np.searchsorted(ends, np.arange(len(lines)))]]
-        route = Route(path.s, bezier_table(path), line_end)
+        lines, route = self._route(path, line_of)
         hits: list[Hit] = []
         parts: list[Certificates] = []
+        near: dict[int, Spans] = {}  # where bodies are not clear of the uncut stock
         for pair, hit in self._last.items():  # a line that goes on hits once
             if hit.line == lines[0]:
-                self._until[pair] = line_end[0]
+                self._until[pair] = route.line_end[0]
         for first, last, pairs in self._stretches(path, rapid):
-            self._refuse_inside(route, first, pairs)
-            roots = self._roots(pairs)
-            if not len(roots):
-                continue
-            found = descend(self._space, route, (first, last), roots, self._until, self._most)
-            hits += self._hits(route, lines, found)
-            parts.append(certificates_of(found))
-            self.figures.intervals += int(found.effort[0])
-            self.figures.tests += int(found.effort[1])
-            self.figures.certificates += len(found.span)
-            if self._most == MOST_HITS:
-                self._measure(route, lines, np.arange(first, last, EVERY), pairs)
+            solid = [pair for pair in pairs if not self._cut(pair)]
+            self._refuse_inside(route, first, solid)
+            if found := self._descend(route, (first, last), solid, self._most, parts):
+                hits += self._hits(route, lines, found)
+                if self._most == MOST_HITS:
+                    self._measure(route, lines, np.arange(first, last, EVERY), solid)
+            cut = [pair for pair in pairs if self._cut(pair)]
+            if found := self._descend(route, (first, last), cut, MOST_HITS, parts):
+                bodies = self.placed.pieces.body[found.hit_pair[:, 0]].tolist()
+                for body, (begin, end, *_) in zip(bodies, found.hit, strict=True):
+                    until = path.s[last] if len(found.hit) == MOST_HITS else end
+                    near.setdefault(body, []).append((begin, until))
+        for contact in self._cut_stock(path, rapid, route, near):
+            hits += self._stock_hit(route, lines, contact)
         hits.sort(key=lambda hit: hit.s)
-        if not self._begun and hits and hits[0].s == path.s[0]:
+        if not self._begun and hits and hits[0].s == path.s[0] and not hits[0].material:
             raise SceneError(touching_text(self.scene, hits[0]))
         self._begun = True
         return hits, Certificates.concatenate(parts) if parts else Certificates.none()
@@ -168,6 +182,69 @@ class PathClearance:
         if row >= 0:
             a, b = (self.scene.bodies[self.placed.pieces.body[piece]].name for piece in roots[row])
             self.figures.nearest = Nearest(float(distance), (a, b), int(lines[cell]))
+
+    def pass_by(self, path: AxisPath, rapid: BoolArray, functions: Functions) -> None:
+        """Cut the stock along a part that is not executed, without checks; functions: until it."""
+        if self.stock is not None:
+            kept = self._tools
+            self.call_tools(functions)
+            _, route = self._route(path, int)
+            for _ in self._cut_stock(path, rapid, route, {}):
+                pass
+            self._tools = kept
+
+    def _route(self, path: AxisPath, line_of: Callable[[int], int]) -> tuple[IntArray, Route]:
+        lines = np.array([line_of(int(row)) for row in path.cell_block])
+        ends = np.append(np.flatnonzero(np.diff(lines)), len(lines) - 1)
+        line_end = path.s[1 + ends[np.searchsorted(ends, np.arange(len(lines)))]]
+        return lines, Route(path.s, bezier_table(path), line_end)
+
+    def _cut(self, pair: tuple[int, int]) -> bool:
+        """Whether one of a pair is the stock that is cut."""
+        return self.stock is not None and self.stock.number in pair
+
+    def _descend(
+        self,
+        route: Route,
+        cells: tuple[int, int],
+        pairs: list[tuple[int, int]],
+        most: int,
+        parts: list[Certificates],
+    ) -> Found | None:
+        roots = self._roots(pairs)
+        if not len(roots):
+            return None
+        found = descend(self._space, route, cells, roots, self._until, most)
+        parts.append(certificates_of(found))
+        self.figures.intervals += int(found.effort[0])
+        self.figures.tests += int(found.effort[1])
+        self.figures.certificates += len(found.span)
+        return found
+
+    def _cut_stock(
+        self, path: AxisPath, rapid: BoolArray, route: Route, near: dict[int, Spans]
+    ) -> Iterator[Contact]:
+        if self.stock is None:
+            return
+        tool = self._tool_of(path.cell_block)
+        starts = np.flatnonzero(np.diff(2 * tool + rapid, prepend=-1))
+        for first, last in zip(starts, np.append(starts[1:], len(tool)), strict=True):
+            cells, number = (int(first), int(last)), int(tool[first])
+            yield from self.stock.follow(route, cells, number, bool(rapid[first]), near)
+
+    def _stock_hit(self, route: Route, lines: IntArray, contact: Contact) -> list[Hit]:
+        """Return a contact with remaining material as a hit, unless its line has had one."""
+        assert self.stock is not None
+        s, number, piece, length = contact
+        line = int(lines[np.searchsorted(route.s[1:-1], s, 'right')])
+        pair, body = (number, self.stock.number), self.scene.bodies[number]
+        last = self._last.get(pair)
+        if last is not None and last.line == line and s < route.line_end[0]:
+            return []
+        names = body.piece_name(body.roots[piece]), self.stock.body.name
+        q, bodies = tuple(positions_at(route, s).tolist()), (body.name, self.stock.body.name)
+        self._last[pair] = hit = Hit(line, names, bodies, length, s, q, material=True)
+        return [hit]
 
     def contact(self, positions: FloatArray, tool: int = 0) -> Hit | None:
         """Return the first contact on straight ways between axis positions, (K, n_axes) [m, rad].

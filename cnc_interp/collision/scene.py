@@ -24,6 +24,7 @@ class Role(IntEnum):
     CUTTER = 2  # the part of a tool that cuts
     SHANK = 3
     HOLDER = 4
+    PART = 5  # what the stock shall become
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,14 @@ class Body:
             return self.name
         return f'{self.name} cone {self.roots.index(piece) + 1}'
 
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest corner of a box around it [m]."""
+        ends = []
+        for discs, along, rounded in self.pieces:
+            reach = discs[:, 3:] * np.sqrt(np.maximum(1.0 - along**2, 0.0)) + rounded
+            ends += [discs[:, :3] - reach, discs[:, :3] + reach]
+        return np.concatenate(ends).min(axis=0), np.concatenate(ends).max(axis=0)
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -56,6 +65,8 @@ class Scene:
     #: Holders by name, rows [height, radius] from the lower end of the spindle up [mm].
     holders: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()  #: Meshes that belong to it, and the scene that it includes.
+    grid: float = 0.0  #: Width of the cells in which the stock is cut [m]; 0 without a stock.
+    part: Body | None = None  #: The part that the stock shall become; nothing can hit it.
 
     def content(self) -> list[bytes]:
         """Return the content of all its files."""

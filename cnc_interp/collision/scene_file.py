@@ -30,9 +30,22 @@ PLACE = ('link', 'at_mm', 'turn_deg', 'along')
 MESH = ('unit', 'chord_mm')
 BODY = ('name', *SHAPES, *PLACE, *MESH)
 TOOL = ('diameter_mm', 'corner_mm', 'flute_mm', 'shank_mm', 'holder_mm', 'length_mm')
-WHOLE = ('include', 'clearance_mm', 'bodies', 'tools', 'tool', 'holders', 'stock', 'ignore')
+STOCK = (*BODY, 'grid_mm')
+WHOLE = (
+    'include',
+    'clearance_mm',
+    'bodies',
+    'tools',
+    'tool',
+    'holders',
+    'stock',
+    'part',
+    'ignore',
+)
 AXES = {'X': (1.0, 0.0, 0.0), 'Y': (0.0, 1.0, 0.0), 'Z': (0.0, 0.0, 1.0)}
 CHORD = 0.01 * MM
+GRID, FINEST, COARSEST = 0.4, 1e-2 * MM, 10.0 * MM  #: Of the stock: usual [mm], limits [m].
+MOST_LINES = 1 << 22  #: Lines of a stock along one axis.
 
 
 def scenes_directory() -> Path:
@@ -107,9 +120,22 @@ class _Reading:
         bodies += [
             self._body(one, f'bodies[{k}]') for k, one in enumerate(self._list(whole, 'bodies'))
         ]
+        grid, part = before.grid, before.part
         if whole.get('stock') is not None:
-            stock = self._mapping(whole['stock'], 'stock', BODY)
-            bodies.append(self._body({'name': 'stock', **stock}, 'stock', Role.STOCK))
+            stock = {'name': 'stock', **self._mapping(whole['stock'], 'stock', STOCK)}
+            size = stock.pop('grid_mm', GRID)
+            bodies = [body for body in bodies if body.role is not Role.STOCK]
+            bodies.append(self._body(stock, 'stock', Role.STOCK))
+            grid = self._grid(size, bodies[-1])
+        if whole.get('part') is not None:
+            stocks = [body for body in bodies if body.role is Role.STOCK]
+            if not stocks:
+                raise self.fault('part', 'is compared with the stock; describe the stock, too')
+            given = {'name': 'part', 'link': stocks[0].link}
+            given |= self._mapping(whole['part'], 'part', BODY)
+            part = self._body(given, 'part', Role.PART)
+            if part.triangles is None or part.link != stocks[0].link:
+                raise self.fault('part', 'must be a mesh on the link of the stock')
         names = [body.name for body in bodies if not body.tool]
         for name in names:
             if names.count(name) > 1 or name in ('cutter', 'shank', 'holder'):
@@ -150,6 +176,8 @@ class _Reading:
             first,
             holders,
             (*before.files, before.source, *self._meshes),
+            grid,
+            part,
         )
 
     def _of_table(self, number: int, tool: Tool, holders: dict[str, Any]) -> dict[str, Any]:
@@ -177,6 +205,14 @@ class _Reading:
         if not isinstance(found, dict):
             raise self.fault(key, 'must hold rows [height, radius] by the names of the holders')
         return found
+
+    def _grid(self, size: Any, body: Body) -> float:
+        """Return the width of the cells in which the stock is cut [m]."""
+        grid = self._length(size, 'stock.grid_mm', COARSEST, FINEST)
+        low, high = body.bounds()
+        if np.prod(np.sort(high - low)[1:]) > MOST_LINES * grid**2:
+            raise self.fault('stock.grid_mm', 'is too fine for so large a stock; use a larger one')
+        return grid
 
     def _mapping(self, content: Any, where: str, known: tuple[str, ...]) -> dict[str, Any]:
         if not isinstance(content, dict):
@@ -229,7 +265,11 @@ class _Reading:
         if key == 'mesh':
             triangles, grown = self._mesh(given, name)
             triangles = self._placed(triangles.reshape(-1, 3), given, name).reshape(-1, 3, 3)
-            pieces, child = triangle_tree(triangles, grown)
+            if role is Role.BODY:
+                pieces, child = triangle_tree(triangles, grown)
+            else:  # its lines know the mesh; the box only tells where tools come near it
+                corners = triangles.reshape(-1, 3)
+                pieces = [shapes.box(corners.min(axis=0) - grown, corners.max(axis=0) + grown)]
         else:
             make = self._shapes[key]
             axis = np.array(AXES[along])

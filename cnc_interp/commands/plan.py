@@ -32,6 +32,7 @@ def add_plan_command(commands: Any) -> None:
         *parser.program_options(),
         option('--out', 'folder for the plan files', Path, 'DIR', required=True),
         flag('--look', 'draw the feed profile in text, as a terminal always gets it'),
+        flag('--save-stock', 'write the stock that is left as stock.stl among the plan files'),
         *(
             option(
                 f'--place-{axis.lower()}',
@@ -82,7 +83,9 @@ def plan_command(options: argparse.Namespace) -> int:
     read_as: tuple[str, ...] = ()
     try:
         told, workers = progress.of('planning'), options.workers
-        summary = plan_to_files(stream, machine, options.out, settings, told, workers)
+        summary = plan_to_files(
+            stream, machine, options.out, settings, told, workers, options.save_stock
+        )
         read_as = stream.read_as  # a refusal is one line
     finally:
         progress.end(complete=False)
@@ -133,6 +136,7 @@ def describe(summary: dict[str, Any]) -> str:
     from cnc_interp.run.plan_figures import (
         bound_text,
         clearance_text,
+        stock_text,
         tool_error_text,
         windows_text,
     )
@@ -175,6 +179,7 @@ def describe(summary: dict[str, Any]) -> str:
     if found := summary.get('collision'):
         lines.append(f'collision      {clearance_text(found)}')
         lines += [hit['text'] for hit in found['hits']]
+        lines += [f'stock          {stock_text(found["stock"])}'] if 'stock' in found else []
     if curves['blocks']:
         lines.append(
             f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '

@@ -79,18 +79,21 @@ class Motion:
         return int(lines[cell]), float(self.cells.s[end])
 
 
-def prove_clearance(ledger: Ledger, machine: Machine) -> None:
-    """Prove that the bodies of the scene keep their clearances in the whole motion of a plan."""
+def prove_clearance(ledger: Ledger, machine: Machine) -> Motion | None:
+    """Prove that the bodies of the scene keep their clearances in the whole motion of a plan.
+
+    Return the motion where a stock is cut along it, which ``stock.py`` proves.
+    """
     plan = ledger.plan
     file, found = plan.settings.get('scene'), plan.collision
     if not file:
         ledger.require(not found, 'collision.npz belongs to a scene, which summary.json lacks')
-        return
+        return None
     if not plan.path:
-        return
+        return None
     if not found:
         ledger.fail(f'collision.npz is missing, but the plan names the scene {file}; plan again')
-        return
+        return None
     scene = read_scene(Path(str(file)), str(plan.summary.get('setup') or ''))
     placed = Placed.of(scene, machine)
     path = plan.path
@@ -102,11 +105,12 @@ def prove_clearance(ledger: Ledger, machine: Machine) -> None:
     known = ((pair >= 0) & (pair < count)).all(axis=1) & (found['begin'] < found['end'])
     ledger.require(known.all(), 'collision.npz names pieces or intervals that do not exist')
     if not known.all():
-        return
+        return None
     ledger.require(_tree_is_sound(placed), 'a box of a mesh does not contain its triangles')
     sound = _certificates(motion, found)
     excused = _hits(motion, found)
     _cover(motion, found, sound, excused)
+    return motion if scene.grid and scene.tools else None
 
 
 def links_of(machine: Machine) -> Links:
@@ -194,10 +198,17 @@ def _hits(motion: Motion, found: Mapping[str, Any]) -> dict[tuple[int, int], Spa
         if distance > placed.clearance[bodies] + TOUCH or beside > ON_PIECE:
             ledger.fail(f'line {line}: the hit of {one} and {other} is not proven')
             continue
-        ledger.fail(f'hit: line {line}, {one} and {other}')
+        if not stock_is_cut(placed, *bodies):  # ``stock.py`` judges what is left there
+            ledger.fail(f'hit: line {line}, {one} and {other}')
         for key in (bodies, bodies[::-1]):
             excused.setdefault(key, []).append((begin, end))
     return excused
+
+
+def stock_is_cut(placed: Placed, a: int, b: int) -> bool:
+    """Tell whether one of two bodies is a stock that is cut along the path."""
+    roles = {placed.scene.bodies[k].role for k in (a, b)}
+    return Role.STOCK in roles and bool(placed.scene.tools)
 
 
 def _off(pieces: Any, piece: int, point: FloatArray) -> float:
@@ -273,7 +284,7 @@ def _cover(
     for a, b, needed in _pairs(motion):
         left = _left(needed, excused.get((a, b), []))
         for begin, _ in needed:
-            if _inside(motion, a, b, begin):
+            if not stock_is_cut(placed, a, b) and _inside(motion, a, b, begin):
                 names = f'{placed.scene.bodies[a].name} and {placed.scene.bodies[b].name}'
                 ledger.fail(f'{names} are one inside the other at {begin:.6g} m')
         waiting = [(p, q, left) for p in placed.roots(a) for q in placed.roots(b) if left]

@@ -82,6 +82,8 @@ COLLISION_COLUMNS = {
 #: with the spindle.
 SELDOM = {
     'collision': COLLISION_COLUMNS,
+    'removal': {'begin': REAL, 'end': REAL, 'removed': REAL},
+    'remaining': {'line': WHOLE, 'interval': Column((2,))},
     'functions': FUNCTION_COLUMNS,
     'followed': {'block': WHOLE, 'ramp': REAL, 'later': WHOLE, 'angle': REAL, 'position': AXES},
 }
@@ -205,6 +207,9 @@ class PlanFiles:
     )
     #: Certificates of clearances, and hits; of a plan with a scene only.
     collision: Columns = field(default_factory=dict)
+    #: Pieces of motion that cut the stock, and the material that is left on its lines.
+    removal: Columns = field(default_factory=dict)
+    remaining: Columns = field(default_factory=dict)
     #: Setpoints of lines in step with the spindle, and its ``angle`` [rev]; of a record only.
     followed: Columns = field(default_factory=dict)
 

@@ -58,7 +58,10 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     if plan.settings.get('scene') or plan.collision:
         from cnc_interp.proof.clearance import prove_clearance  # loaded with a scene only
 
-        prove_clearance(ledger, machine)
+        if (motion := prove_clearance(ledger, machine)) is not None:
+            from cnc_interp.proof.stock import prove_stock  # loaded with a stock only
+
+            prove_stock(motion, machine.signals)
     ledger.plan = plan = with_chords(plan, machine)
     if ROW in plan.blocks:
         overrides = overrides.in_rows(plan.blocks[ROW])

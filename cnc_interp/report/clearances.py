@@ -15,7 +15,7 @@ from cnc_interp.collision.scene import Placed
 from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.core import MM, FloatArray
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.proof.clearance import tools_at
+from cnc_interp.proof.clearance import stock_is_cut, tools_at
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report import html
 from cnc_interp.report.series import Series
@@ -31,6 +31,7 @@ def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
     placed = Placed.of(read_scene(file, str(plan.summary.get('setup') or '')), machine)
     rows = np.unique(np.linspace(0, len(plan.position) - 1, PLACES).astype(int))
     pairs = [pair for pair in placed.pairs if placed.scene.in_feed(*pair)]
+    pairs = [pair for pair in pairs if not stock_is_cut(placed, *pair)]
     if not pairs:
         return ''
     apart = distances(placed, machine, plan, pairs, rows) / MM
@@ -40,11 +41,17 @@ def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
     content = html.drawing(_over_time(series, rows, apart, names))
     content += _table(placed, series, rows, apart, pairs, names)
     pictures = [
-        html.drawing(_picture(placed, plan, int(row)))
-        for row in np.flatnonzero(plan.collision['hit'])[:PICTURES]
+        html.drawing(_picture(placed, plan, int(row))) for row in _hits(placed, plan)[:PICTURES]
     ]
     content += ''.join(pictures)
     return html.section('Clearances', text.format(len(rows)), content)
+
+
+def _hits(placed: Placed, plan: PlanFiles) -> list[int]:
+    """Return the rows of hits; where a body is near the uncut stock, the rest decides."""
+    pair = placed.pieces.body[plan.collision['pair']]
+    hits = np.flatnonzero(plan.collision['hit']).tolist()
+    return [row for row in hits if not stock_is_cut(placed, *pair[row])]
 
 
 def distances(

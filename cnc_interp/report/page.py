@@ -195,6 +195,10 @@ def write_report(
         from cnc_interp.report.clearances import clearance_section
 
         body.append(clearance_section(plan, machine, series))
+    if plan.removal:
+        from cnc_interp.report.stock import stock_section
+
+        body.append(stock_section(plan))
     if errors:
         body.append(tool_error_section(errors, plan.period))
     if segments is not None:

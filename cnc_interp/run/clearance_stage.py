@@ -19,6 +19,7 @@ from cnc_interp.program.job import JobSetup
 from cnc_interp.settings.options import Settings
 
 if TYPE_CHECKING:
+    from cnc_interp.collision.follow import CutStock
     from cnc_interp.collision.hits import Hit
     from cnc_interp.collision.path_clearance import Certificates, PathClearance
 
@@ -111,6 +112,10 @@ class LiveClearance:
         clearance = clearance_of(machine, settings, most)
         return None if clearance is None else LiveClearance(clearance, settings.collision, line_of)
 
+    @property
+    def stock(self) -> CutStock | None:
+        return self._clearance.stock
+
     def call_tools(self, functions: Functions) -> None:
         self._functions = Functions.concatenate([self._functions, functions])
         self._clearance.call_tools(self._functions)
@@ -119,12 +124,20 @@ class LiveClearance:
         """Raise CollisionError if a part hits something; infinite feed means a rapid."""
         from cnc_interp.collision.hits import CollisionError
 
-        moves = np.linalg.norm(np.diff(path.tip, axis=0), axis=1) > TIP_MOVES
-        rapid = np.isinf(path.cell_feed) & moves
-        hits, _ = self._clearance.push(path, rapid, self._line_of)
+        hits, _ = self._clearance.push(path, rapid_cells(path), self._line_of)
         self.hits += hits
         if hits and self._mode == REFUSE:
             raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
+
+    def pass_by(self, path: AxisPath) -> None:
+        """Cut the stock along a part that comes before the place to go on from."""
+        self._clearance.pass_by(path, rapid_cells(path), self._functions)
+
+
+def rapid_cells(path: AxisPath) -> BoolArray:
+    """Return which cells are rapids: without a feed, and the tip moves."""
+    moves = np.linalg.norm(np.diff(path.tip, axis=0), axis=1) > TIP_MOVES
+    return np.asarray(np.isinf(path.cell_feed) & moves)
 
 
 class ClearanceStage:
@@ -134,6 +147,10 @@ class ClearanceStage:
         self.clearance, self.mode = clearance, mode
         self.hits: list[Hit] = []
         self._rapid: BoolArray = np.zeros(0, dtype=np.bool_)
+        self._whole: BoolArray = np.zeros(
+            0, dtype=np.bool_
+        )  # of the program before the start, too
+        self._functions = Functions.none()
         self._line: IntArray = np.zeros(0, dtype=np.int64)
 
     @staticmethod
@@ -158,6 +175,49 @@ class ClearanceStage:
         self.hits += hits
         return found
 
+    def program(self, blocks: Blocks, functions: Functions) -> None:
+        """Take further rows of the whole program, of which the run starts inside."""
+        self._whole = np.concatenate([self._whole, blocks.rapid])
+        self._functions = functions
+
+    def pass_by(self, path: AxisPath) -> None:
+        """Cut the stock along a part of the whole program that is not executed."""
+        self.clearance.pass_by(path, self._whole[path.cell_block], self._functions)
+
+    def save_stock(self, directory: Path) -> None:
+        """Write the stock that is left as STL; a scene without a stock leaves none."""
+        if self.clearance.stock is None:
+            return
+        from cnc_interp.collision.mesh_file import stl_of
+        from cnc_interp.collision.rest import stock_triangles
+
+        content = stl_of(stock_triangles(self.clearance.stock) / MM, 'stock in mm')
+        (directory / 'stock.stl').write_bytes(content)
+
+    def stock_columns(self) -> dict[str, dict[str, Any]]:
+        """Return the columns of the plan files about the stock; empty without one."""
+        if self.clearance.stock is None:
+            return {}
+        removal, remaining = self.clearance.stock.columns()
+        return {'removal': removal, 'remaining': remaining}
+
+    def _stock_summary(self) -> dict[str, Any]:
+        stock, part = self.clearance.stock, self.clearance.scene.part
+        if stock is None:
+            return {}
+        found: dict[str, Any] = {
+            'grid': stock.pitch,
+            'volume': stock.whole,
+            'removed': stock.removed,
+            'pieces': len(stock.rows),
+            'hits': sum(hit.material for hit in self.hits),
+        }
+        if part is not None:
+            from cnc_interp.collision.rest import against_part
+
+            found |= against_part(stock, part)
+        return {'stock': found}
+
     def require(self, source: str) -> None:
         """Refuse a program that hits something, with a line for each hit."""
         from cnc_interp.collision.hits import CollisionsError
@@ -176,4 +236,5 @@ class ClearanceStage:
             'certificates': figures.certificates,
             'nearest': None if figures.nearest is None else asdict(figures.nearest),
             'hits': [hit.to_json(machine) for hit in self.hits],
+            **self._stock_summary(),
         }

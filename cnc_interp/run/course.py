@@ -137,6 +137,14 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
     return cut_between(path, s, float(path.s[-1]), np.array([s]))
 
 
+def to_place(path: AxisPath, s: float) -> AxisPath | None:
+    """Return what comes before a place; None if nothing does."""
+    nearest = int(np.argmin(np.abs(path.s - s)))
+    if abs(path.s[nearest] - s) <= SAME:
+        return cut(path, 0, nearest) if nearest else None
+    return cut_between(path, float(path.s[0]), s, np.array([s]))
+
+
 def slowed(
     path: AxisPath, scaled: Callable[[AxisPath], FloatArray], way_down: PlannedPiece | None
 ) -> AxisPath:

@@ -230,6 +230,25 @@ def clearance_text(found: Mapping[str, Any]) -> str:
     return f'{told}; nearest {nearest["distance"] / MM:.3g} mm, {where}'
 
 
+def collision_text(summary: Mapping[str, Any]) -> str:
+    """Say in one line what the check of clearances found, and what is left of the stock."""
+    if not (found := summary.get('collision')):
+        return ''
+    stock = f'; stock: {stock_text(found["stock"])}' if 'stock' in found else ''
+    return clearance_text(found) + stock
+
+
+def stock_text(found: Mapping[str, Any]) -> str:
+    """Say in one line what has been cut off the stock, and what the part leaves of the rest."""
+    cubic = MM**3
+    told = f'{found["removed"] / cubic:.4g} of {found["volume"] / cubic:.4g} mm3 removed'
+    told += f', on a grid of {found["grid"] / MM:g} mm'
+    if 'excess' not in found:
+        return told
+    more, less = (f'{found[what] / MM:.3g} mm' for what in ('excess', 'gouge'))
+    return f'{told}; up to {more} more than the part, up to {less} gouged'
+
+
 def bound_text(summary: Mapping[str, Any]) -> str:
     """Say how fast any motion could be, or '' if this was not computed."""
     least = summary['time_bound']

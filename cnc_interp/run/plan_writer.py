@@ -48,7 +48,8 @@ _AS_IN_BLOCKS = (
     'knot_interval',
     'program_stop',
 )
-SELDOM = 'functions', 'followed', 'collision'  #: Files that only some plans have.
+#: Files that only some plans have.
+SELDOM = 'functions', 'followed', 'collision', 'removal', 'remaining'
 SETPOINT_COLUMNS = {name: of for name, of in Setpoints.declared.items() if of.in_plans}
 #: Path cells, and setpoints, that are gathered before they are measured and written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
@@ -157,6 +158,11 @@ class PlanWriter:
 
     def certificates(self, found: Certificates) -> None:
         self._archives['collision'].append(found.columns())
+
+    def stock(self, columns: Mapping[str, Columns]) -> None:
+        """Take the columns of the files that tell what the stock has become."""
+        for name, found in columns.items():
+            self._archives[name].append(found)
 
     def setpoints(self, samples: Setpoints) -> None:
         self._samples.append(samples)

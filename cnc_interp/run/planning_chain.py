@@ -94,6 +94,8 @@ class Chain:
         segments, path = part.segments, part.path
         if self._start is not None:
             segments, path = self._start.segments(segments), self._start.path(path, last)
+            if self.clearance is not None and self._start.before is not None:
+                self._watch.timed('collision', self.clearance.pass_by, self._start.before)
         self._sink.segments(segments)
         if path is not None and self.clearance is not None:
             found = self._watch.timed('collision', self.clearance.check, path)
@@ -119,11 +121,13 @@ def plan_to_files(
     settings: Settings | None = None,
     progress: Callable[[float], None] = lambda _: None,
     processes: int = 1,
+    save_stock: bool = False,
 ) -> dict[str, Any]:
     """Plan a program while it is read and write its plan files; memory does not grow with it.
 
     ``progress``: told the share that has been planned; ``processes``: how many plan motion, to the
-    same files. Returns the summary in SI units, or raises InterpError.
+    same files; ``save_stock``: write the stock that is left, too. Returns the summary in SI units,
+    or raises InterpError.
     """
     settings = settings or Settings()
     start, transform, parts = None, Transform.of(machine), iter(stream)
@@ -154,7 +158,10 @@ def plan_to_files(
                 writer.blocks(own)
                 if chain.clearance is not None:
                     functions = stream.functions
-                    chain.clearance.rows(own, start.functions(functions) if start else functions)
+                    if start is not None:
+                        chain.clearance.program(part, functions)
+                        functions = start.functions(functions)
+                    chain.clearance.rows(own, functions)
                 rows_read += len(part)
                 for batch in batches(part):
                     chain.push(batch)
@@ -165,6 +172,9 @@ def plan_to_files(
             if chain.clearance is not None:
                 chain.clearance.require(stream.source)
                 writer.figures.clearance = chain.clearance.summary()
+                writer.stock(chain.clearance.stock_columns())
+                if save_stock:
+                    chain.clearance.save_stock(directory)
             stream.note(chain.path.notice)
             writer.functions = stream.functions
             writer.figures.waits_first = stream.waits_first

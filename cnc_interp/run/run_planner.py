@@ -14,7 +14,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.clearance_stage import LiveClearance
-from cnc_interp.run.course import SAME, from_place
+from cnc_interp.run.course import SAME, from_place, to_place
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream
 from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Wait
@@ -99,6 +99,10 @@ class RunPlanner:
         if self.clearance is not None:
             self.clearance.check(path)
 
+    def _pass_by(self, path: AxisPath | None) -> None:
+        if self.clearance is not None and path is not None:
+            self.clearance.pass_by(path)
+
     def _begin(self, path: AxisPath) -> AxisPath | None:
         """Add the approach before the path, or skip what comes before the place to go on from."""
         if self._continue_at is None:
@@ -110,7 +114,9 @@ class RunPlanner:
             self._starts = float(path.s[0]), start
             return path
         if path.s[-1] <= self._continue_at + SAME:
+            self._pass_by(path)
             return None
+        self._pass_by(to_place(path, self._continue_at))
         there = evaluate(path, np.array([self._continue_at]))[0][0]
         away = np.abs(there - self._stands).max() > ON_PATH
         if away or self._asks:

@@ -18,7 +18,7 @@ from cnc_interp.machine_model.transform_port import ToolLine, Transform, tool_li
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
-from cnc_interp.run.course import from_place
+from cnc_interp.run.course import from_place, to_place
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -83,6 +83,8 @@ class StartFinder:
         self._before: Blocks | None = None  # the last row read
         self._vertex: Blocks | None = None  # the row before the start, and its first row
         self._kept: AxisPath | None = None
+        #: What comes before the start, of the part of the path that was taken last.
+        self.before: AxisPath | None = None
         self._s: float | None = None
         self._position = np.zeros(0)
 
@@ -115,6 +117,7 @@ class StartFinder:
 
     def path(self, path: AxisPath | None, last: bool = False) -> AxisPath | None:
         """Take a further part of the path and return what of it is executed."""
+        self.before = None
         if self._s is not None:
             return None if path is None else self._renumbered(path)
         parts = [part for part in (self._kept, path) if part is not None]
@@ -123,13 +126,15 @@ class StartFinder:
         known, row = AxisPath.join(parts), self._start.row
         block = known.cell_block
         if row is None or block[-1] < row:
-            self._kept = cut(known, int(np.searchsorted(block, block[-1])), len(block))
+            border = int(np.searchsorted(block, block[-1]))
+            self._kept = cut(known, border, len(block))
+            self.before = cut(known, 0, border) if border else None
             return None
         self._kept = known
         self._s = self._place(known, row, last)
         if self._s is None:
             return None
-        self._kept = None
+        self._kept, self.before = None, to_place(known, self._s)
         rest = from_place(known, self._s)
         self._position = np.array(rest.cell_left[0, 0])
         return self._renumbered(rest)

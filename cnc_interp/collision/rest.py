@@ -1,0 +1,125 @@
+"""What the stock has become: its surface as triangles, and what it is more or less than the part.
+
+Three fields with lines through the nodes of one grid tell how far each node is inside or outside
+along three directions. Marching tetrahedra make closed triangles of that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.collision.follow import CutStock
+from cnc_interp.collision.mill_sweep import FAR
+from cnc_interp.collision.scene import Body
+from cnc_interp.collision.stock import Field, crossings, lines
+from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import njit
+
+#: Nodes are no nearer to the surface, as a share of the grid, so that corners do not coincide [-].
+APART = 0.01
+#: A cube in six tetrahedra around its diagonal; corner k lies at (k & 1, k >> 1 & 1, k >> 2).
+TETRAHEDRA = (0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)
+#: Edges of a tetrahedron that cross the surface, three for each triangle, by the number of its
+#: corners inside, which come first.
+CROSSED = {
+    1: ((0, 1), (0, 2), (0, 3)),
+    2: ((0, 2), (0, 3), (1, 3), (0, 2), (1, 3), (1, 2)),
+    3: ((0, 3), (1, 3), (2, 3)),
+}
+
+
+def stock_triangles(stock: CutStock) -> FloatArray:
+    """Return the surface of what is left, (m, 3, 3), in the frame of the link of the stock [m].
+
+    Corners run counter-clockwise seen from outside.
+    """
+    size, depths = stock.pitch, []
+    fields = [stock.field_along(axis) for axis in range(3)]
+    low = np.array([fields[axis - 1].place[0] for axis in range(3)])
+    for axis, field in enumerate(fields):
+        depth = np.full((*field.used.shape, fields[axis - 1].used.shape[0]), -FAR)
+        depths_along(field, low[axis], depth)
+        depths.append(np.moveaxis(depth, (0, 1, 2), ((axis + 1) % 3, (axis + 2) % 3, axis)))
+    least = np.abs(depths).min(axis=0).clip(APART * size, size)
+    inside = np.pad(np.where(depths[2] > 0.0, least, -least), 1, mode='edge')
+    beyond_grid = np.pad(np.zeros(least.shape), 1, constant_values=size)
+    return low + (_march(inside - beyond_grid) - 0.5) * size
+
+
+@njit(cache=True, nogil=True)
+def depths_along(field: Field, low: float, out: FloatArray) -> None:
+    """Write how far nodes are from the next end of material along their line; outside: below 0."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                at = low + (k + 0.5) * field.place[2]
+                for m in range(field.used[i, j]):
+                    begin, end = field.ends[i, j, m]
+                    out[i, j, k] = max(out[i, j, k], min(at - begin, end - at))
+
+
+def _march(inside: FloatArray) -> FloatArray:
+    """Return triangles between nodes above and below 0, in units of the grid, (m, 3, 3)."""
+    corners = np.array([(k & 1, k >> 1 & 1, k >> 2) for k in range(8)])
+    low = np.indices([n - 1 for n in inside.shape]).reshape(3, -1)
+    count = sum(inside[tuple(low + c[:, None])] > 0.0 for c in corners)
+    low = low[:, (count > 0) & (count < 8)].T
+    found = []
+    for tetrahedron in TETRAHEDRA:
+        nodes = low[:, None] + corners[list(tetrahedron)]
+        values = inside[tuple(np.moveaxis(nodes, 2, 0))]
+        order = np.argsort(values <= 0.0, axis=1, kind='stable')
+        nodes = np.take_along_axis(nodes, order[..., None], axis=1)
+        values = np.take_along_axis(values, order, axis=1)
+        for number, edges in CROSSED.items():
+            mine = (values > 0.0).sum(axis=1) == number
+            one, other = (np.take(nodes[mine], np.array(edges)[:, k], axis=1) for k in (0, 1))
+            a, b = (np.take(values[mine], np.array(edges)[:, k], axis=1) for k in (0, 1))
+            places = one + (a / (a - b))[..., None] * (other - one)
+            outward = nodes[mine][:, number:].mean(axis=1) - nodes[mine][:, :number].mean(axis=1)
+            triangles = places.reshape(-1, 3, 3)
+            normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+            outward = np.repeat(outward, len(edges) // 3, axis=0)
+            turned = np.einsum('ij,ij->i', normal, outward) < 0.0
+            triangles[turned] = triangles[turned][:, ::-1]
+            found.append(triangles)
+    return np.concatenate(found)
+
+
+def against_part(stock: CutStock, part: Body) -> dict[str, float]:
+    """Return the largest excess of what is left over the part, and the deepest gouge [m].
+
+    Each place of the surface of the part is judged along the lines nearest to its normal.
+    """
+    assert part.triangles is not None
+    found = np.zeros(2)
+    for axis in range(3):
+        left = stock.field_along(axis)
+        corners = np.ascontiguousarray(np.roll(part.triangles, 2 - axis, axis=2))
+        who, ends = crossings(left.place, lines(left), corners, 0.0)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        judged = np.abs(normal).argmax(axis=1)[who[:, 1]] == 2
+        along = (normal[:, 2] / np.linalg.norm(normal, axis=1))[who[:, 1]]
+        beyond(left, who[judged, 0], ends[judged, 0], along[judged], found)
+    return dict(zip(('excess', 'gouge'), found.tolist(), strict=True))
+
+
+@njit(cache=True, nogil=True)
+def beyond(
+    field: Field, line: IntArray, height: FloatArray, along: FloatArray, found: FloatArray
+) -> None:
+    """Raise excess and gouge to those at places of the part's surface.
+
+    ``along``: component along the lines of the outward normal at each place [-].
+    """
+    for m in range(len(line)):
+        i, j = divmod(line[m], field.used.shape[1])
+        sense, missing = np.sign(along[m]), FAR
+        for k in range(field.used[i, j]):
+            ends = sense * (field.ends[i, j, k] - height[m])
+            front, back = max(ends[0], ends[1]), min(ends[0], ends[1])
+            if back <= 0.0:  # else it lies outside, with a gap
+                missing = min(missing, max(-front, 0.0))
+                found[0] = max(found[0], front * abs(along[m]))
+        if missing < FAR:
+            found[1] = max(found[1], missing * abs(along[m]))

@@ -74,7 +74,7 @@ def test_three_axes(tmp_path):
     assert '>proven<' in page
 
 
-def test_errors_in_one_line(tmp_path, monkeypatch):
+def test_errors_in_one_line(tmp_path, monkeypatch, capsys):
     content = line_x(MACHINE)
     directory = write(tmp_path, content)
     with pytest.raises(InterpError, match='not made for machine xyz'):
@@ -82,9 +82,12 @@ def test_errors_in_one_line(tmp_path, monkeypatch):
     content['summary']['machine'] = 'nowhere'
     with pytest.raises(InterpError):
         write_report(write(tmp_path, content), tmp_path / 'r.html')
+    content['summary']['machine'] = 'xyzac'
+    directory = write(tmp_path, content)
     monkeypatch.setitem(sys.modules, 'plotly.offline', None)
-    with pytest.raises(InterpError, match='pip install plotly'):
-        write_report(directory, tmp_path / 'r.html', MACHINE)
+    assert main(['report', str(directory), '--out', str(tmp_path / 'r.html')]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith('cnc-interp: plotly is not installed; ')
 
 
 def test_series_are_the_proof_s_figures(tmp_path):

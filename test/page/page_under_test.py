@@ -134,9 +134,16 @@ class PanelUnderTest(NodesUnderTest):
         self.press_key(tab, 'Enter', lambda: told in tab.text('mdi answer'), Tab.type_key)
 
     def begin(self, tab):
-        """Start the loaded program, and see the machine on its way along the path."""
+        """Start the loaded program, put in its tool if it waits for one, and see it on its way."""
         before = len(self.loaded)
+
+        def asks():
+            return tab.text('why').startswith('put tool')
+
         self.press_key(tab, 'cycle start', lambda: len(self.loaded) > before)
+        self.spin_until(lambda: self.is_on_its_way() or asks())
+        if asks():
+            self.press_key(tab, 'cycle start', lambda: not asks())
         self.spin_until(self.is_on_its_way)
 
     def is_on_its_way(self):

@@ -279,7 +279,7 @@ def test_what_delays_or_ends_the_motion_of_a_held_key_is_told(panel, pad):
     os.kill(panel.page.process.pid, signal.SIGSTOP)
     time.sleep(2 * LATE)
     os.kill(panel.page.process.pid, signal.SIGCONT)
-    tab.wait(lambda: 'so the axes stopped' in str(tab.run('told')))
+    tab.wait(lambda: 'the axes stopped: the held key' in str(tab.run('told')))
     tab.pointer('release', x, y, device)
     rests(panel, tab)
     # The page is busy from the press on.
@@ -536,6 +536,7 @@ def test_a_coordinate_is_set_to_zero_and_gone_to(panel, part):
     before = np.array(panel.next_state().commanded_positions)
     panel.give(tab, 'G0 G91 Z-4')
     tab.wait(lambda: tab.text('work Z') == '-4.000' and tab.text('state') == 'idle')
+    panel.spin_until(lambda: abs(panel.peers.state.positions[2] - before[2] + 4e-3) < 1e-5)
     tab.click_with_mouse('pose')
     at = tab.centre('go to zero Z')
     tab.pointer('move', *at)

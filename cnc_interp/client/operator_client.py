@@ -23,7 +23,15 @@ from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.question import AGAIN, Question, SentProgram
 from cnc_interp.client.served_node import SPIN, ServedNode
 from cnc_interp.core import InterpError
-from cnc_interp.nodes.node_main import AND, BODIES, PREPARED, TOOL, WAITING, WITHOUT
+from cnc_interp.nodes.node_main import (
+    AND,
+    BODIES,
+    OFF_LINE_END,
+    PREPARED,
+    TOOL,
+    WAITING,
+    WITHOUT,
+)
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 
@@ -115,6 +123,8 @@ class OperatorClient(ServedNode):
         self.prepared: float | None = None  # share of what the program waits for
         self.waits_for = ''  # what that is, in words
         self.tool_wanted: int | None = None  # the tool that the operator must put in
+        #: Distance of the tool tip from the end of its line, where a single block rests [m].
+        self.off_line_end: float | None = None
         self.uncompensated: float | None = None  # largest contour error of this run [m]
         self.program: LoadedProgram | None = None
         self.modes: ModalState | None = None  # of the lines by hand
@@ -191,6 +201,8 @@ class OperatorClient(ServedNode):
             if WAITING in values:
                 self.waiting = values[WAITING]
                 self.tool_wanted = int(values[TOOL]) if TOOL in values else None
+                off = values.get(OFF_LINE_END)
+                self.off_line_end = None if off is None else float(off)
                 waits = PREPARED in values
                 self.waits_for = status.message if waits else ''
                 self.prepared = float(values[PREPARED]) if waits else None

@@ -21,7 +21,7 @@ from cnc_interp.core import FloatArray
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.geometry.frames import rotation
-from cnc_interp.program.job import ROTATION, TOOL_SIZES, Tool
+from cnc_interp.program.job import ROTATION, TOOL_SIZES, TOOL_TEXTS, Tool
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def whole_tool(number: int, tool: Tool) -> dict[str, Any]:
     """Return the request of ``set_tool`` after which the table has exactly this tool."""
     sizes = {name: getattr(tool, name) for name in TOOL_SIZES}
     given = {name: size for name, size in sizes.items() if size is not None}
-    given |= {'pocket': tool.pocket, 'remark': tool.remark}
+    given |= {name: getattr(tool, name) for name in ('pocket', *TOOL_TEXTS)}
     return {'number': number, 'fields': list(given), **given}
 
 
@@ -230,7 +230,7 @@ class SetupConsole:
         setup = self._setup.setup
         lines = [
             f'{"tool":<8}{"length":>12}{"radius":>12}{"corner":>12}{"wear Z":>10}{"wear R":>10}'
-            f'{"pocket":>8}  remark'
+            f'{"flute":>10}{"pocket":>8}  {"holder":<8}  remark'
         ]
         for number in sorted({*setup.tools} | ({setup.tool} if setup.tool else set())):
             star = ' *' if number == setup.tool else ''
@@ -241,11 +241,11 @@ class SetupConsole:
                     f'{"" if v is None else MILLIMETRES.length(v):>12}'
                     for v in (tool.length, tool.radius, tool.corner_radius)
                 )
-                wear = ''.join(
+                more = ''.join(
                     f'{MILLIMETRES.length(v) if v else "":>10}'
-                    for v in (tool.length_wear, tool.radius_wear)
+                    for v in (tool.length_wear, tool.radius_wear, tool.flute)
                 )
-                values = f'{sizes}{wear}{tool.pocket or "":>8}  {tool.remark}'
+                values = f'{sizes}{more}{tool.pocket or "":>8}  {tool.holder:<8}  {tool.remark}'
             lines.append(f'{number}{star:<{8 - len(str(number))}}{values}'.rstrip())
         return '\n'.join([*lines, self._file_text()])
 

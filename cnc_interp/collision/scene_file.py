@@ -183,7 +183,7 @@ class _Reading:
     def _of_table(self, number: int, tool: Tool, holders: dict[str, Any]) -> dict[str, Any]:
         """Return what ``tools`` would hold for a tool of the tool table; nothing without sizes.
 
-        All of it below its holder counts as the part that cuts.
+        Without a flute of its own, all of it below its holder counts as the part that cuts.
         """
         if tool.holder and tool.holder not in holders:
             text = f'tool {number} of the tool table has the holder {tool.holder!r}'
@@ -198,6 +198,9 @@ class _Reading:
         if rows:
             shifted = self._rows(rows, 2, where) / MM + [length / MM, 0.0]
             given |= {'flute_mm': float(shifted[0, 0]), 'holder_mm': shifted.tolist()}
+        if 0.0 < tool.flute / MM < given['flute_mm']:
+            ends = tool.flute / MM, given['flute_mm']
+            given |= {'flute_mm': ends[0], 'shank_mm': [[end, radius / MM] for end in ends]}
         return given
 
     def _mapping_of_any(self, whole: dict[str, Any], key: str) -> dict[str, Any]:

@@ -88,8 +88,19 @@ def add_operate_commands(commands: Any) -> None:
         ),
         option('--length-wear', 'what is added to its length', float, 'MM'),
         option('--radius-wear', 'what is added to its radius', float, 'MM'),
+        option(
+            '--flute',
+            'height of the part that cuts; 0: all of it below the holder',
+            float,
+            'MM',
+        ),
         option('--pocket', 'its place in the tool changer; 0: none', int),
         option('--remark', 'what tells it from others', metavar='TEXT'),
+        option(
+            '--holder',
+            'its holder, by its name in the scene; empty for the usual one',
+            metavar='NAME',
+        ),
         option(
             '--import',
             'take the tools of a tool.tbl of LinuxCNC, or of a CSV file',

@@ -138,9 +138,14 @@ class LookaheadNode(Node):
             self._take,
             self._end,
             self._diagnostics,
-            gate=blocks_of,
+            gate=self._blocks_of,
         )
         self._pace = Pace(self, WORK_PERIOD, self._work)
+
+    def _blocks_of(self, message: G1Block | G1BlockBatch) -> list[G1Block]:
+        """Return the blocks of a message; an empty one says that its sender is there."""
+        self._watch.hear()
+        return blocks_of(message)
 
     def _take(self, block: G1Block) -> None:
         self._pace.wake()
@@ -151,7 +156,6 @@ class LookaheadNode(Node):
         if self._run is None:
             return
         self._run.take(block)
-        self._watch.hear()
         if len(self._run.blocks) >= BATCH:
             self._work()
 

@@ -206,6 +206,8 @@ class Pace:
 
 WAITING = 'waiting'  #: Key under which program_node names the programs that wait.
 TOOL = 'tool'  #: Key of the number of the tool that the operator must put in now.
+#: Key of the distance of the tool tip from the end of its line, where a single block rests [m].
+OFF_LINE_END = 'off_line_end'
 PREPARED = 'prepared'  #: Key of the share of what a program waits for before it moves [-].
 #: Key under which machine_node gives the contour error that there were without compensation [m].
 WITHOUT = 'contour_error_without_compensation'

@@ -21,6 +21,7 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.node_main import (
+    OFF_LINE_END,
     OK,
     PREPARED,
     TOOL,
@@ -118,6 +119,7 @@ class ActiveModesTopic:
 Result = RunProgram.Result
 WORK_PERIOD = 0.02  #: Time between two steps of a run [s].
 FEEDBACK = 0.1  #: Time between feedbacks [s].
+ALIVE = 1.0  #: Time between empty messages while blocks are held back [s].
 PRESS_AGAIN = 0.25  #: Time between repeated calls of a service of the machine [s].
 FROZEN = 0.5  #: After a longer pause of its own, silence of the other nodes does not count [s].
 
@@ -153,7 +155,7 @@ class ProgramNode(Node):
         )
         self._loaded = SealedPublisher(self, LoadedProgram, 'loaded_program', LOADED)
         self._state: MachineState | None = None  # the last one of the run
-        self._feedback_at = self._worked_at = self._pressed_at = 0.0
+        self._feedback_at = self._worked_at = self._pressed_at = self._alive_at = 0.0
         self._waits_since = math.inf
         self._queue = ProgramQueue()
         self._contacts: dict[str, ProbeContact] = {}  # the last one, by its run
@@ -233,8 +235,7 @@ class ProgramNode(Node):
             run_id = '' if program.is_own_setup else run.run_id.program_id
             self._setup.use(run.name, run_id, used)
         if run.phase in SENDING:
-            self._feed.fill(self._outlet.sender)
-            self._outlet.pump()
+            self._send_blocks(now)
             self._tell_progress(run.preparation.prepared, now)
         if self._state is not None and run.preparation.prepared is not None:
             self._modes.tell(run.preparation.prepared, self._state)
@@ -257,6 +258,17 @@ class ProgramNode(Node):
             return
         program = run.preparation.prepared
         self._feed.begin(program, run.run_id, run.continue_at, self._outlet.sender)
+
+    def _send_blocks(self, now: float) -> None:
+        told, state = self._peers.state, self._state
+        single_block = told is not None and told.single_block
+        self._feed.fill(
+            self._outlet.sender, single_block, 0 if state is None else int(state.sequence)
+        )
+        self._outlet.pump()
+        if self._feed.holds_back and now - self._alive_at > ALIVE:
+            self._alive_at = now
+            self._outlet.publish(G1BlockBatch())
 
     def _see_contact(self, contact: ProbeContact) -> None:
         self._contacts = {contact.program_id: contact}
@@ -307,6 +319,8 @@ class ProgramNode(Node):
             text, values[PREPARED] = waits_for
         if (tool := run.tool_wanted(self._peers.state, self._signals)) is not None:
             values[TOOL] = tool
+        if (beside := run.off_line_end(self._peers.state)) is not None:
+            values[OFF_LINE_END] = beside
         text += f'; then {waiting}' if waiting else ''
         level, text = (WARN, run.trouble) if run.trouble else (OK, text)
         self._diagnostics.say('program', level, text, **values)

@@ -4,6 +4,7 @@ import time
 import uuid
 from collections import deque
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,13 +12,14 @@ import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState, ProbeContact
 
-from cnc_interp.core import FloatArray, Refusal, StreamError
+from cnc_interp.core import FloatArray, IntArray, Refusal, StreamError
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.nodes.node_main import end_goal
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import Preparation, Prepared
 from cnc_interp.nodes.seals import RECEIVERS
 from cnc_interp.program import JobSetup
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.targets import ProgramChange
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.motion.probing import Probe
@@ -287,6 +289,16 @@ class ProgramRun:
         step = signals.steps[int(program.functions.step[last])]
         return int(program.functions.value[last]) if signals.is_change(step) else None
 
+    def off_line_end(self, state: MachineState | None) -> float | None:
+        """Return how far the tool tip rests from the end of its line after a single block [m]."""
+        program = self.preparation.prepared
+        if state is None or program is None or state.program_id != self.run_id.program_id:
+            return None
+        if state.reason != MachineState.REASON_SINGLE_BLOCK or not state.resting:
+            return None
+        row = int(state.sequence)
+        return float(np.linalg.norm(program.blocks[row : row + 1].tip[0] - state.tip))
+
     def may_go_on(self) -> bool:
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 
@@ -360,28 +372,56 @@ class ProgramRun:
 
 MOST_QUEUED = 512  #: Blocks queued for sending at a time; not the whole program.
 MOST_TOGETHER = 64  #: Most blocks in one message.
+#: Line ends sent beyond the executed block in single block, so that few lines keep their exact
+#: stops when it is switched off. The look-ahead holds one segment back, and the planner sees that
+#: a line ends by the next one.
+LINES_AHEAD = 3
 
 
 class BlockFeed:
+    """Sends the blocks of a program; in single block each line ends with an exact stop."""
+
     def __init__(self, signals: Signals) -> None:
         self._prepared: Prepared | None = None
         self._signals = signals
         self._run_id, self._continue_at = NO_RUN, 0.0
         self._queued = 0
+        #: Rows from which on single block may add exact stops: none of them was ever queued.
+        self._undecided = 0
+        self._stops: list[int] = []  # rows of the exact stops that it has added
+        self.holds_back = False  # blocks, until the machine has executed more
 
     def begin(
         self, prepared: Prepared, run_id: RunId, continue_at: float, sender: WindowedSender[slice]
     ) -> None:
+        if prepared is not self._prepared:  # else the same path is needed again
+            start = None if prepared.start is None else prepared.start.block.row
+            self._undecided, self._stops = start or 1, []
         self._prepared, self._run_id, self._continue_at = prepared, run_id, continue_at
         self._queued = 0
         sender.begin(run_id)
 
-    def fill(self, sender: WindowedSender[slice]) -> None:
-        rows = 0 if self._prepared is None else len(self._prepared.blocks)
-        while self._queued < rows and sender.unsent < MOST_QUEUED:
+    def fill(
+        self, sender: WindowedSender[slice], single_block: bool = False, executed: int = 0
+    ) -> None:
+        """Queue blocks to send; ``executed``: the last block that the machine has executed."""
+        program, self.holds_back = self._prepared, False
+        rows = 0 if program is None else len(program.blocks)
+        while program is not None and self._queued < rows and sender.unsent < MOST_QUEUED:
             after = min(self._queued + MOST_TOGETHER, rows)
+            if self._queued < self._undecided:
+                after = min(after, self._undecided)
+            elif single_block:
+                if sum(row > executed for row in self._stops) >= LINES_AHEAD:
+                    self.holds_back = True
+                    return
+                ends = line_ends(program.blocks[self._queued : after + 1])
+                if len(ends):
+                    after = self._queued + int(ends[0]) + 1
+                    self._stops.append(after - 1)
             sender.put(slice(self._queued, after), after - self._queued)
             self._queued = after
+            self._undecided = max(self._undecided, after)
 
     def end(self, sender: WindowedSender[slice]) -> None:
         self._prepared = None
@@ -391,9 +431,10 @@ class BlockFeed:
         prepared = self._prepared
         if prepared is None:
             raise StreamError('a block was asked for after its run')
-        blocks = prepared.blocks
+        blocks, sent = prepared.blocks, prepared[rows]
+        added = np.isin(np.arange(rows.start, rows.stop), self._stops)
         made = block_messages(
-            prepared[rows],
+            replace(sent, exact_stop=sent.exact_stop | added),
             self._run_id,
             first,
             prepared.settings.flank_height,
@@ -408,6 +449,12 @@ class BlockFeed:
             made[0].continue_at = self._continue_at
             made[0].settings = pairs_of(prepared.settings)
         return G1BlockBatch(blocks=made)
+
+
+def line_ends(blocks: Blocks) -> IntArray:
+    """Return the rows at which a source line ends and the path may rest; not inside a spline."""
+    line, spline = blocks.line_number, blocks.on_spline
+    return np.flatnonzero((line[:-1] != line[1:]) & ~(spline[:-1] & spline[1:]))
 
 
 MOST = 16  #: Largest number of programs that may wait. Each one uses memory.

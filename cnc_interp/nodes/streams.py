@@ -316,13 +316,16 @@ class Outlet:
     def refusal_text(self) -> str:
         return '' if self.peer is None else str(self.peer.refusal)
 
+    def publish(self, message: Any) -> None:
+        self._publisher.publish(sealed(message))
+
     def pump(self) -> None:
         if not self.sender.run_id or self.refused:
             return
         items = self.sender.due(time.monotonic())
         for done, item in enumerate(items):
             try:
-                self._publisher.publish(sealed(self._encode(item.item, item.first)))
+                self.publish(self._encode(item.item, item.first))
             except RCLError:  # publishing failed: the rest is sent at the next call
                 self.sender.take_back(len(items) - done)
                 return

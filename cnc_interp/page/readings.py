@@ -21,6 +21,7 @@ from cnc_interp.program.job import JobSetup
 from cnc_interp.wire.run_messages import state_of
 
 NOTHING = '–'
+AT_LINE_END = 2e-6  #: A tool tip nearer to the end of its line than this rests there [m].
 
 
 def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
@@ -52,15 +53,17 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
 
 def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
     """Return why the machine is in its state; after a single block also where it rests."""
-    modes = desk.modes()[1]
     if (tool := desk.nodes.tool_wanted) is not None:
         return change_text(tool, desk.setup.setup, unit)
-    if state.reason != MachineState.REASON_SINGLE_BLOCK or modes is None:
+    off = desk.nodes.off_line_end
+    if state.reason != MachineState.REASON_SINGLE_BLOCK or off is None:
         return str(state.message or desk.nodes.waits_for)
     where = f'rests at the end of line {state.line_number}'
-    if 'G61' not in modes.codes:
-        beside = f'{unit.length(modes.contour_tolerance)} {unit.name}'
-        where = f'{where}, up to {beside} beside it where its corner is rounded'
+    if off > AT_LINE_END:
+        where = (
+            f'rests {unit.length(off)} {unit.name} beside the end of line {state.line_number}, '
+            'inside a corner that was rounded before single block was on'
+        )
     return f'single block: {where}. Cycle start executes the next line'
 
 

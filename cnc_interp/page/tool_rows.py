@@ -9,11 +9,11 @@ from cnc_interp.client.length_unit import LengthUnit
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import LONGEST_YAML
 from cnc_interp.page.contact import key
-from cnc_interp.program.job import MOST_TOOL, TOOL_SIZES, JobSetup, Tool
+from cnc_interp.program.job import MOST_TOOL, TOOL_SIZES, TOOL_TEXTS, JobSetup, Tool
 from cnc_interp.program.tool_files import csv_text, tbl_text, tools_of_text
 
 SIZES = dict(
-    zip(TOOL_SIZES, ('length', 'radius', 'corner', 'length wear', 'radius wear'), strict=True)
+    zip(TOOL_SIZES, ('length', 'radius', 'corner', 'length wear', 'radius wear', 'flute'), strict=True)
 )
 TOUCH = 'touch Z'  #: Mark of the field with the Z at which a tool touches.
 
@@ -24,7 +24,7 @@ class ToolRows:
         self._setup, self._unit, self._dialog = setup, unit, dialog
         ui.label(f'tools [{unit.name}]').classes('title')
         with ui.element('div').classes('rows tools'):
-            for text in ('number', *SIZES.values(), 'pocket', 'remark', '', '', '', ''):
+            for text in ('number', *SIZES.values(), 'pocket', *TOOL_TEXTS, '', '', '', ''):
                 ui.label(text).classes('name')
             for number in sorted(setup.tools):
                 self._row(number, setup.tools[number])
@@ -61,7 +61,8 @@ class ToolRows:
             dialog.field(f'{mark} {name}', shown, value)
         pocket = '' if tool is None or not tool.pocket else f'{tool.pocket}'
         dialog.field(f'{mark} pocket', pocket)
-        dialog.field(f'{mark} remark', '' if tool is None else tool.remark)
+        for name in TOOL_TEXTS:
+            dialog.field(f'{mark} {name}', '' if tool is None else getattr(tool, name))
         dialog.reading_key('set', f'set {mark}', partial(self._set, mark, number))
         if number is None:
             for _ in range(3):
@@ -83,9 +84,8 @@ class ToolRows:
         for name in {'pocket', 'number'} & set(values):
             values[name] = round(min(max(values[name], 0.0), 10.0 * MOST_TOOL))
         number = values.pop('number', 0) if number is None else number
-        remark = self._dialog.text_of(f'{mark} remark')
-        fields = [*values, 'remark']
-        await self._dialog.ask('set_tool', number=number, fields=fields, remark=remark, **values)
+        values |= {name: self._dialog.text_of(f'{mark} {name}') for name in TOOL_TEXTS}
+        await self._dialog.ask('set_tool', number=number, fields=list(values), **values)
 
     async def _touch(self, number: int) -> None:
         """Let Z read the value of the field here, with this tool: G10 L10."""

@@ -25,8 +25,9 @@ Position = Mapping[str, float]
 
 #: Longest remark of a tool [characters], and its largest number.
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
-#: What a setup file keeps of a tool: sizes [mm], the pocket, and a text.
-TOOL_SIZES = ('length', 'radius', 'corner_radius', 'length_wear', 'radius_wear')
+#: What a setup file keeps of a tool: sizes [mm], the pocket, and texts.
+TOOL_SIZES = ('length', 'radius', 'corner_radius', 'length_wear', 'radius_wear', 'flute')
+TOOL_TEXTS = ('remark', 'holder')
 _TOOL_KINDS = {
     'pocket': (int, 'a whole number'),
     'remark': (str, 'a text'),
@@ -48,6 +49,7 @@ class Tool:
     radius_wear: float = 0.0
     pocket: int = 0  #: Its place in the tool changer; 0: none.
     holder: str = ''  #: Its holder among those of a scene; empty: the usual one.
+    flute: float = 0.0  #: Height of the part that cuts [m]; 0: all of it below the holder.
 
     @property
     def worn(self) -> Tool:
@@ -58,7 +60,7 @@ class Tool:
         if corner is not None:
             corner = radius if corner == self.radius else min(corner, radius)
         length = self.length + self.length_wear
-        return Tool(length, radius, self.remark, corner, holder=self.holder)
+        return Tool(length, radius, self.remark, corner, holder=self.holder, flute=self.flute)
 
     @property
     def fault(self) -> str:
@@ -68,8 +70,12 @@ class Tool:
             return f'the pocket must be from 1 to {MOST_TOOL}, or 0 for none'
         if not 0.0 <= (self.corner_radius or 0.0) <= self.radius:
             return 'the corner radius must be from 0 to the radius'
-        if len(self.remark) > LONGEST_REMARK or not self.remark.isprintable():
-            return f'the remark must be one line of {LONGEST_REMARK} characters'
+        if self.flute and not self.flute >= 2.0 * (self.corner_radius or 0.0):
+            return 'the flute must be at least twice the corner radius high, or 0'
+        for name in TOOL_TEXTS:
+            text = getattr(self, name)
+            if len(text) > LONGEST_REMARK or not text.isprintable():
+                return f'the {name} must be one line of {LONGEST_REMARK} characters'
         return ''
 
 
@@ -141,6 +147,10 @@ class JobSetup:
                 words += ' wear {:g} {:g}'.format(*(_shown(size, MM) for size in worn))
             if entry.pocket:
                 words += f' pocket {entry.pocket}'
+            if entry.flute:
+                words += f' flute {_shown(entry.flute, MM):g}'
+            if entry.holder:
+                words += f' holder {entry.holder}'
             return f'{words} {entry.remark}'.strip()
         shown = _position_shown(entry or {}).items()
         return ' '.join(f'{letter} {value:g}' for letter, value in shown) or 'not set'
@@ -194,15 +204,13 @@ def _positions_shown(
 
 
 def _tool_shown(tool: Tool) -> dict[str, Any]:
-    sizes = {
-        'length': tool.length,
-        'radius': tool.radius or None,
-        'corner_radius': tool.corner_radius,
-        'length_wear': tool.length_wear or None,
-        'radius_wear': tool.radius_wear or None,
+    sizes = {name: getattr(tool, name) for name in TOOL_SIZES}
+    shown = {
+        name: _shown(size, MM)
+        for name, size in sizes.items()
+        if size or (size == 0.0 and name in ('length', 'corner_radius'))
     }
-    shown = {name: _shown(size, MM) for name, size in sizes.items() if size is not None}
-    others = {'pocket': tool.pocket, 'remark': tool.remark, 'holder': tool.holder}
+    others = {name: getattr(tool, name) for name in ('pocket', *TOOL_TEXTS)}
     return shown | {name: value for name, value in others.items() if value}
 
 
@@ -282,7 +290,7 @@ class _Reading:
             'length' in words and words.keys() <= _TOOL_KEYS,
             f'tools.{key}: must have a length, perhaps a radius, a corner_radius and a '
             'remark, as {length: 75.0, radius: 5.0, remark: ball}, and may have length_wear, '
-            'radius_wear, pocket and holder',
+            'radius_wear, flute, pocket and holder',
         )
         others = {name: words.pop(name) for name in _TOOL_KINDS if name in words}
         for name, value in others.items():

@@ -15,6 +15,7 @@ from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import (
     MOST_TOOL,
     TOOL_SIZES,
+    TOOL_TEXTS,
     WORK_OFFSETS,
     JobSetup,
     Position,
@@ -24,7 +25,7 @@ from cnc_interp.program.job import (
 
 LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].
 #: What can be changed of a tool.
-TOOL_FIELDS = (*TOOL_SIZES, 'pocket', 'remark')
+TOOL_FIELDS = (*TOOL_SIZES, 'pocket', *TOOL_TEXTS)
 _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import LONGEST_YAML, UnreadableError, small_text
-from cnc_interp.program.job import MOST_TOOL, TOOL_SIZES, Tool
+from cnc_interp.program.job import MOST_TOOL, TOOL_SIZES, TOOL_TEXTS, Tool
 
-COLUMNS = ('number', 'pocket', *TOOL_SIZES, 'remark')
+COLUMNS = ('number', 'pocket', *TOOL_SIZES, *TOOL_TEXTS)
 _WORD = re.compile(r'([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*', re.IGNORECASE)
 #: Words of tool.tbl without effect here: offsets and angles of lathe tools, and of other axes.
 _IGNORED = frozenset('XYABCUVWIJQ')
@@ -74,7 +74,8 @@ def _tool(words: Mapping[str, str], unit: float) -> tuple[int, Tool]:
     if 'diameter' in words:
         sizes['radius'] = 0.5 * float(words['diameter'] or 0.0) * unit
     number, pocket = (int(words.get(name) or 0) for name in ('number', 'pocket'))
-    return number, Tool(remark=words.get('remark', '').strip(), pocket=pocket, **sizes)
+    texts = {name: words.get(name, '').strip() for name in TOOL_TEXTS}
+    return number, Tool(pocket=pocket, **texts, **sizes)
 
 
 def _tbl_rows(lines: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
@@ -102,7 +103,7 @@ def _csv_rows(lines: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
         row = dict(zip(names, fields, strict=False))
         if any(field.strip() for field in fields):
             point = {name: text.replace(',', '.') for name, text in row.items()}
-            yield number, {**point, 'remark': row.get('remark', '')}
+            yield number, point | {name: row.get(name, '') for name in TOOL_TEXTS}
 
 
 def tbl_text(tools: Mapping[int, Tool], unit: float) -> str:
@@ -122,5 +123,5 @@ def csv_text(tools: Mapping[int, Tool], unit: float) -> str:
     for number, tool in sorted(tools.items()):
         sizes = [getattr(tool, name) for name in TOOL_SIZES]
         told = ['' if size is None else f'{size / unit:.6f}' for size in sizes]
-        rows.writerow([number, tool.pocket or '', *told, tool.remark])
+        rows.writerow([number, tool.pocket or '', *told, tool.remark, tool.holder])
     return text.getvalue()

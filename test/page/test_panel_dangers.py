@@ -1,5 +1,6 @@
 """What must not mislead an operator: keys pressed by accident, units, rapids, who may stop."""
 
+import re
 import time
 
 import numpy as np
@@ -208,25 +209,38 @@ def test_m6_without_a_tool_changer_waits_and_names_the_tool(panel, tmp_path):
     tab.click_with_mouse('close setup')
 
 
-@pytest.mark.parametrize(('mode', 'rounded'), [('G64 P0.05', True), ('G61', False)])
-def test_single_block_says_where_the_tool_rests(panel, tmp_path, mode, rounded):
+SQUARE = ((20, 0), (20, 20), (0, 20), (0, 0))  #: Corners, each the end of a line [mm].
+
+
+@pytest.mark.parametrize('in_motion', [False, True])
+def test_single_block_says_where_the_tool_rests(panel, tmp_path, in_motion):
+    lines = [f'G1 X{x} Y{y} F1500' for x, y in SQUARE] * 5
     program = tmp_path / 'corner.ngc'
-    program.write_text(f'G21 G90 {mode}\nG0 X0 Y0 Z10\nG1 X20 F1500\nY20\nX0\nM30\n')
+    program.write_text('\n'.join(['G21 G90 G64 P0.05', 'G0 X0 Y0 Z10', *lines, 'M30', '']))
     tab = panel.open_in_charge(width=1500, height=900)
     panel.load(tab, program)
+    if in_motion:
+        panel.begin(tab)
     tab.click_with_mouse('single block')
     panel.spin_until(lambda: panel.peers.state.single_block)
-    places = []
-    for line in (3, 4):
-        tab.click_with_mouse('cycle start')
-        tab.wait(lambda line=line: f'at the end of line {line}' in tab.text('why'))
+    for _ in range(2):
+        if not in_motion:
+            tab.click_with_mouse('cycle start')
+        tab.wait(lambda: 'single block: rests' in tab.text('why'))
         state = panel.next_state()
         assert state.reason == MachineState.REASON_SINGLE_BLOCK and state.resting
-        assert ('up to 0.050 mm beside it' in tab.text('why')) == rounded
-        places.append(1e3 * np.array(state.program_positions[:2]))
-    beside = np.linalg.norm(np.array(places) - [[20, 0], [20, 20]], axis=1)
-    # In a rounded corner it rests beside the end of the line, by what the page says at most.
-    assert beside.max() <= (0.05 if rounded else 0.005) + 1e-3
-    assert (beside > 0.01).all() == rounded
+        end = SQUARE[(state.line_number - 3) % 4]
+        off = np.linalg.norm(1e3 * np.array(state.program_positions[:2]) - end)
+        told = re.search(r'rests (?:([\d.]+) mm beside|at) the end of line (\d+)', tab.text('why'))
+        assert int(told[2]) == state.line_number
+        # It was rounded before the key was pressed, or has an exact stop.
+        assert (told[1] is not None) == in_motion == (off > 0.01)
+        assert abs(float(told[1] or 0.0) - off) < 0.002
+        if in_motion:
+            tab.click_with_mouse('cycle start')
+            panel.spin_until(lambda: not panel.peers.state.resting)
     tab.click_with_mouse('single block')
+    if panel.next_state().state != MachineState.HELD:
+        tab.click_with_mouse('feed hold')
+        panel.until(MachineState.HELD)
     panel.reset(tab)

@@ -14,11 +14,12 @@ import faulty_node
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from limit_use import limit_use
-from operated import LIMITS, MACHINE, PROGRAM, Bench, T, blocks_of, path_of, waves
+from operated import LIMITS, MACHINE, PROGRAM, TRANSFORM, Bench, T, blocks_of, path_of, waves
 from std_msgs.msg import Float64
 
 from cnc_interp.core import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
+from cnc_interp.nodes.program_run import LINES_AHEAD
 from cnc_interp.processes.node_processes import NODES
 from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
@@ -137,6 +138,35 @@ def test_single_block_rests_after_every_block(bench):
         bench.spin_until(lambda: bench.state.state != MachineState.HELD)
     assert lines == list(range(lines[0], lines[0] + 3))
     bench.finish(handle)
+
+
+@pytest.mark.thorough
+def test_single_block_rests_at_the_programmed_ends_of_lines(bench):
+    """Lines that are sent while it is on end with exact stops; later ones are rounded again."""
+    blocks = blocks_of(PROGRAM)
+    bench.single_block(True)
+    bench.spin_until(lambda: bench.state.single_block)
+    bench.executed.clear()
+    handle = bench.start(text=PROGRAM)
+    for rests in range(4):
+        bench.until_state(MachineState.HELD)
+        state = bench.next_state()
+        end = blocks.tip[blocks.line_number == state.line_number][-1]
+        tip = TRANSFORM.forward(np.array([state.commanded_positions]))[0][0]
+        assert np.linalg.norm(tip - end) < 1e-8
+        told = [text for part, text in bench.diagnostics if part == 'program_node: program']
+        assert 'beside' not in told[-1]
+        bench.single_block(rests < 3)
+        assert bench.press('cycle_start').success
+        bench.spin_until(lambda: bench.state.state != MachineState.HELD)
+    assert bench.result_of(handle).code == Result.SUCCEEDED
+    run = bench.heard_whole()
+    q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in bench.told(run)])
+    assert limit_use(q, LIMITS) <= 1.001
+    tips = TRANSFORM.forward(q)[0]
+    near = [np.linalg.norm(tips - end, axis=1).min() for end in blocks.tip[1:-1]]
+    reached = np.flatnonzero(np.array(near) < 1e-8)
+    assert reached.tolist() == list(range(4 + LINES_AHEAD)), near
 
 
 @pytest.mark.thorough

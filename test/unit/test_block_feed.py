@@ -12,7 +12,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.program_check import Prepared
-from cnc_interp.nodes.program_run import MOST_QUEUED, MOST_TOGETHER, BlockFeed
+from cnc_interp.nodes.program_run import LINES_AHEAD, MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.program import JobSetup, read_text
 from cnc_interp.program.blocks.block_modes import ModesOfBlocks
 from cnc_interp.run.run_state import RunId
@@ -81,6 +81,29 @@ def test_a_batch_that_was_lost_goes_out_again(feed):
     assert [item.first for item in sender.due(1.0)] == [first[1].first]
     sender.acknowledge(RUN, 2 * MOST_TOGETHER, 10_000, 1.1)  # the receiver may lack the others
     assert [item.first for item in sender.due(1.1)] == [item.first for item in first[2:4]]
+
+
+def test_single_block_adds_exact_stops_to_the_lines_that_it_sends(feed):
+    """Few lines ahead of the machine; once sent, a line has its stop in each attempt."""
+    feed, sender, blocks = feed
+    feed.fill(sender, single_block=True)
+    assert feed.holds_back and sender.next_number == LINES_AHEAD + 1
+    feed.fill(sender, single_block=True, executed=2)
+    feed.fill(sender, single_block=True, executed=2)
+    assert feed.holds_back and sender.next_number == LINES_AHEAD + 3
+    for attempt in range(2):
+        feed.fill(sender)  # it is switched off
+        assert not feed.holds_back
+        sender.acknowledge(RUN, 0, 10_000, 0.0)
+        sent = [block for item in sender.due(0.0) for block in feed.message(*item_of(item)).blocks]
+        stops = [block.sequence for block in sent if block.exact_stop]
+        assert stops == list(range(1, LINES_AHEAD + 3)), attempt
+        feed.begin(feed._prepared, RUN, 0.0, sender)
+        feed.fill(sender, single_block=True, executed=4)  # and on again: nothing changes before
+
+
+def item_of(item):
+    return item.item, item.first
 
 
 def test_no_block_after_the_end(feed):

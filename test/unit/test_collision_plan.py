@@ -208,7 +208,7 @@ TABLE = """
 tools:
   1: {length: 40.0, radius: 3.0}
   2: {length: 40.0, radius: 3.0, corner_radius: 3.0, holder: slim}
-  3: {length: 90.0, radius: 3.0, length_wear: -1.0}
+  3: {length: 90.0, radius: 3.0, length_wear: -1.0, flute: 12.0}
 """
 HOLDERS = 'holders: {default: [[0, 15], [30, 15]], slim: [[0, 5], [30, 5]]}\n'
 
@@ -230,6 +230,7 @@ def test_tools_of_the_tool_table_get_bodies(folder, capsys):
         (2, 'cutter'): pytest.approx(-40),
         (2, 'holder'): pytest.approx(0),
         (3, 'cutter'): pytest.approx(-89),
+        (3, 'shank'): pytest.approx(-89 + 12),
         (3, 'holder'): pytest.approx(0),
     }
     # The tip comes to X 40 Z 0: the usual holder, 15 mm in radius, reaches 5 mm into the wall.

@@ -36,7 +36,7 @@ def test_csv_of_a_spreadsheet_is_read_with_its_decimal_mark(mark):
 
 def test_what_is_written_is_read_again_alike():
     tools = {
-        5: Tool(0.0751234, 0.004, 'ball "R4", new', 0.004, -0.0001, 0.0002, 3),
+        5: Tool(0.0751234, 0.004, 'ball "R4", new', 0.004, -0.0001, 0.0002, 3, 'slim', 0.012),
         7: Tool(-0.02),
     }
     again = tools_of_text(csv_text(tools, 1e-3), 1e-3)
@@ -61,6 +61,7 @@ def test_what_is_written_is_read_again_alike():
         ('T0 P1 Z1', 'line 1: tool 0'),
         ('number,length\n1,long', 'line 2: '),
         ('number,flutes\n1,3', "see 'flutes'"),
+        ('number,length,radius,corner_radius,flute\n1,9,3,3,5', 'line 2: tool 1: the flute'),
         ('number,length,remark\n1,1,' + 'a' * 200, 'line 2: tool 1: the remark'),
     ],
 )

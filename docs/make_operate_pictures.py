@@ -25,7 +25,7 @@ from PIL import Image
 
 ROOT = HERE.parent
 PROGRAM = ROOT / 'examples' / 'first_part.ngc'
-#: The five-axis machine, with what its operator must do by hand, and a part that its probe touches.
+#: The five-axis machine, with what its operator must do by hand; and a part for its probe.
 MACHINE = (
     (ROOT / 'config' / 'machines' / 'xyzac.yaml').read_text(encoding='utf-8')
     + """

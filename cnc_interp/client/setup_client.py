@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from itertools import starmap
 from typing import Any
 
 import numpy as np
@@ -103,45 +103,43 @@ class SetupClient:
         return Proposal(offset_changes(self.table, self.setup, after), tools, after)
 
     async def take(self, proposal: Proposal) -> Answer:
-        """Set what was proposed, one thing after the other, up to the first that is refused."""
-        asked = [
-            partial(self.ask, 'set_offset', offset=one.name, clear=True, **of_axes(values))
-            for one in proposal.offsets
-            for values in [dict(position_of(proposal.after, one.name))]
-        ]
-        asked += [
-            partial(self.ask, 'set_tool', **whole_tool(number, tool))
-            for number, tool in proposal.tools.items()
-        ]
+        after = proposal.after
+        wanted = [whole_offset(one.name, position_of(after, one.name)) for one in proposal.offsets]
+        return await self.ask_each([*wanted, *starmap(whole_tool, proposal.tools.items())])
+
+    async def undo(self, changes: tuple[OffsetChange, ...]) -> Answer:
+        """Give offsets back the values that they had before changes, unless newer ones came."""
+        if changes != self.changes:
+            return Answer(False, 'the offsets were changed again: look at the last change')
+        return await self.ask_each(whole_offset(one.name, one.had) for one in changes)
+
+    async def ask_each(self, requests: Iterable[tuple[str, dict[str, Any]]]) -> Answer:
+        """Send requests, one after the other, up to the first that is refused."""
         answer = Answer(True, 'nothing to set')
-        for ask in asked:
-            answer = await asyncio.wrap_future(ask())
+        for service, request in requests:
+            answer = await asyncio.wrap_future(self.ask(service, **request))
             if not answer.ok:
                 break
         return answer
-
-    def undo(self, changes: tuple[OffsetChange, ...]) -> list[Future[Answer]]:
-        """Give offsets the values back that they had before changes; newer changes win."""
-        if changes != self.changes:
-            return []
-        return [
-            self.ask('set_offset', offset=one.name, clear=True, **of_axes(one.had))
-            for one in changes
-        ]
 
     def ask(self, service: str, **request: Any) -> Future[Answer]:
         return self._nodes.ask(service, client=self._who, **request)
 
 
-def whole_tool(number: int, tool: Tool) -> dict[str, Any]:
-    """Return the request of ``set_tool`` after which the table has exactly this tool."""
+def whole_offset(name: str, values: Mapping[str, float]) -> tuple[str, dict[str, Any]]:
+    """Return service and request after which an offset has exactly these values."""
+    return 'set_offset', {'offset': name, 'clear': True, **of_axes(values)}
+
+
+def whole_tool(number: int, tool: Tool) -> tuple[str, dict[str, Any]]:
+    """Return service and request after which the table has exactly this tool."""
     sizes = {name: getattr(tool, name) for name in TOOL_SIZES}
     given = {name: size for name, size in sizes.items() if size is not None}
     given |= {name: getattr(tool, name) for name in ('pocket', *TOOL_TEXTS)}
-    return {'number': number, 'fields': list(given), **given}
+    return 'set_tool', {'number': number, 'fields': list(given), **given}
 
 
-def of_axes(values: dict[str, float]) -> dict[str, Any]:
+def of_axes(values: Mapping[str, float]) -> dict[str, Any]:
     return {'axes': list(values), 'values': list(values.values())}
 
 

@@ -340,7 +340,7 @@ def _tool_files(options: argparse.Namespace) -> int:
     found = tools_of_file(options.from_file, unit) if options.from_file else {}
     with setup_console(options.namespace, options.domain) as console:
         for number, tool in found.items():
-            console.ask('set_tool', **whole_tool(number, tool))
+            console.ask('set_tool', **whole_tool(number, tool)[1])
         if options.export:
             text = csv_text if options.export.suffix == '.csv' else tbl_text
             write_whole(options.export, text(console.tools, unit))

@@ -19,7 +19,6 @@ from cnc_interp_msgs.msg import LoadedProgram, ModalState
 from cnc_interp.client.hand_move import LineHistory
 from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
 from cnc_interp.client.setup_client import (
-    OffsetChange,
     SetupClient,
     of_axes,
 )
@@ -444,14 +443,6 @@ class Desk:
         if self.setup.table is None:
             return Answer(False, 'the nodes do not answer yet: wait, then press again')
         return await asyncio.wrap_future(self.setup.ask('touch_off', **of_axes({letter: 0.0})))
-
-    async def undo(self, changes: tuple[OffsetChange, ...]) -> Answer:
-        answer = Answer(False, 'the offsets were changed again: look at the last change')
-        for asked in self.setup.undo(changes):
-            answer = await asyncio.wrap_future(asked)
-            if not answer.ok:
-                break
-        return answer
 
     async def trigger(self, name: str) -> Answer:
         answer = await asyncio.wrap_future(self.nodes.ask(name))

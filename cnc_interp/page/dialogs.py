@@ -4,6 +4,7 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
+from itertools import starmap
 from typing import Any
 
 from nicegui import ui
@@ -230,33 +231,19 @@ class SetupDialog:
 
     async def take_tools(self, tools: Mapping[int, Tool]) -> None:
         async def taken() -> Answer:
-            answer = Answer(True, 'no tools')
-            for number, tool in tools.items():
-                asked = self._setup.ask('set_tool', **whole_tool(number, tool))
-                answer = await asyncio.wrap_future(asked)
-                if not answer.ok:
-                    break
-            await self._show_new_table(tools)
+            answer = await self._setup.ask_each(starmap(whole_tool, tools.items()))
+            await shown_by(lambda: tools.items() <= self._setup.setup.tools.items())
+            self.show_again()
             return answer
 
         await self._command(taken)
-
-    async def _show_new_table(self, tools: Mapping[int, Tool]) -> None:
-        for _ in range(20):  # it follows the answers on another topic
-            if all(self._setup.setup.tools.get(n) == tool for n, tool in tools.items()):
-                break
-            await asyncio.sleep(0.05)
-        self.show_again()
 
     async def ask(self, service: str, **request: Any) -> None:
         before = self._setup.table
 
         async def asked() -> Answer:
             answer = await asyncio.wrap_future(self._setup.ask(service, **request))
-            for _ in range(20):  # the table follows its answer on another topic
-                if not answer.ok or self._setup.table is not before:
-                    break
-                await asyncio.sleep(0.05)
+            await shown_by(lambda: not answer.ok or self._setup.table is not before)
             if answer.ok:
                 ui.notify(f'[mm, deg] {answer.message}')
                 self.show_again()
@@ -295,3 +282,11 @@ class SetupDialog:
         values = self.values({k: (f'{name} {k}', self._unit.now.of(k)) for k in axes})
         if values is not None:
             await self.ask('set_offset', offset=name, clear=True, **of_axes(values))
+
+
+async def shown_by(table_is_new: Callable[[], bool]) -> None:
+    """Wait for a moment until the table has come, which follows an answer on another topic."""
+    for _ in range(20):
+        if table_is_new():
+            break
+        await asyncio.sleep(0.05)

@@ -174,7 +174,9 @@ class Page:
         self._zeros.append(made)
 
     async def _undo(self) -> None:
-        await self._command_in_sight(partial(self._desk.undo, self._shown.get('changes', ())))
+        await self._command_in_sight(
+            partial(self._desk.setup.undo, self._shown.get('changes', ()))
+        )
 
     def _show_change(self) -> None:
         changes = self._desk.setup.changes

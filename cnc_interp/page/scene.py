@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -20,34 +19,35 @@ from cnc_interp.page.start_choice import WayThere
 if TYPE_CHECKING:
     from cnc_interp.collision.drawing import DrawnBody
 
-SIDES = 5
+SIDES = 5  #: Of the tube.
 FACES = 2 * SIDES  #: Triangles between two neighbouring points.
 #: What is not drawn changes the course by less than this share of the radius, and red, green
 #: and blue by less than this share of full.
 UNSEEN, INDISTINCT = 0.25, 0.04
-#: A carried vector of which less is left has turned into the tangent: a new one is taken.
-TURNED_INTO = 0.1
 #: Slow to fast, evenly spaced: legible on dark ground.
 SCALE = ((58, 84, 196), (43, 176, 220), (96, 204, 120), (244, 208, 63), (231, 90, 60))
-MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
-FLOAT, UNSIGNED_INT, UNSIGNED_BYTE = 5126, 5125, 5121
-ARRAY_BUFFER, ELEMENT_BUFFER = 34962, 34963
 
 
 def tube(
     points: FloatArray, values: FloatArray, top: float, radius: float
 ) -> tuple[bytes, IntArray]:
+    """Make the file of which ``scene.js`` draws a tube.
+
+    Returns
+    -------
+    bytes
+        Radius and points [m] as 32-bit floats, then red, green, blue and opacity of each point.
+    ndarray, shape (k,)
+        The rows of ``points`` that are drawn.
+
+    """
     colours = colours_of(values, top)
     kept = thinned(np.column_stack([points / (UNSEEN * radius), colours / (255.0 * INDISTINCT)]))
-    points, colours = points[kept], colours[kept]
-    moved = np.concatenate([[True], np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0])
-    points, colours, kept = points[moved], colours[moved], kept[moved]
-    if len(points) < 2:
-        points = np.stack([points[0], points[0] + [0.0, 0.0, radius]])
-        colours, kept = np.repeat(colours[:1], 2, axis=0), kept[[0, -1]]
-    vertices, normals = rings(points, radius)
-    shades = np.repeat(colours, SIDES, axis=0)
-    file = glb(vertices.astype('<f4'), normals.astype('<f4'), shades, faces(len(points)))
+    kept = kept[np.r_[True, np.abs(np.diff(points[kept], axis=0)).max(axis=1) > 0.0]]
+    drawn = points[kept]
+    if len(kept) < 2:
+        drawn, kept = points[kept] + [[0.0, 0.0, 0.0], [0.0, 0.0, radius]], kept[[0, 0]]
+    file = np.append(radius, drawn).astype('<f4').tobytes() + colours[kept].tobytes()
     return file, kept
 
 
@@ -75,88 +75,6 @@ def colours_of(values: FloatArray, top: float) -> Any:
     known = np.linspace(0.0, 1.0, len(SCALE))
     rgb = [np.interp(place, known, [colour[k] for colour in SCALE]) for k in range(3)]
     return np.stack([*rgb, np.full(len(values), 255.0)], axis=1).round().astype(np.uint8)
-
-
-def rings(points: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
-    chord = np.diff(points, axis=0)
-    chord /= np.linalg.norm(chord, axis=1, keepdims=True)
-    before = np.concatenate([chord[:1], chord])
-    both = before + np.concatenate([chord, chord[-1:]])
-    length = np.linalg.norm(both, axis=1, keepdims=True)
-    # Where the path turns back on itself it has no middle direction.
-    tangent = np.divide(both, length, out=before, where=length > TURNED_INTO)
-    across = carried(tangent)
-    beside = np.cross(tangent, across)
-    angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    normals = (
-        np.cos(angle)[None, :, None] * across[:, None, :]
-        + np.sin(angle)[None, :, None] * beside[:, None, :]
-    )
-    vertices = points[:, None, :] + radius * normals
-    return vertices.reshape(-1, 3), normals.reshape(-1, 3)
-
-
-def carried(tangent: FloatArray) -> FloatArray:
-    """Return unit vectors across the tangents, carried along with little turning."""
-    found = np.empty_like(tangent)
-    now = np.zeros(3)
-    for k, t in enumerate(tangent):
-        now = now - (now @ t) * t
-        size = np.sqrt(now @ now)
-        if size < TURNED_INTO:
-            now = np.cross(t, np.eye(3)[np.abs(t).argmin()])
-            size = np.sqrt(now @ now)
-        found[k] = now = now / size
-    return found
-
-
-def faces(count: int) -> Any:
-    ring = np.arange(count - 1)[:, None] * SIDES
-    here, following = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
-    a, b = ring + here, ring + following
-    c, d = a + SIDES, b + SIDES
-    return np.stack([a, b, c, b, d, c], axis=2).reshape(-1).astype('<u4')
-
-
-def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
-    ends = {'min': vertices.min(axis=0).tolist(), 'max': vertices.max(axis=0).tolist()}
-    mesh: tuple[tuple[Any, int, str, dict[str, Any]], ...] = (
-        (vertices, FLOAT, 'VEC3', ends),
-        (normals, FLOAT, 'VEC3', {}),
-        (colours, UNSIGNED_BYTE, 'VEC4', {'normalized': True}),
-        (index, UNSIGNED_INT, 'SCALAR', {}),
-    )
-    parts = [array.tobytes() for array, *_ in mesh]
-    starts = np.cumsum([0] + [len(part) for part in parts])
-    targets = (*[ARRAY_BUFFER] * 3, ELEMENT_BUFFER)
-    views = [
-        {'buffer': 0, 'byteOffset': int(start), 'byteLength': len(part), 'target': target}
-        for start, part, target in zip(starts, parts, targets, strict=False)
-    ]
-    accessors = [
-        {'bufferView': k, 'componentType': kind, 'count': len(array), 'type': shape, **more}
-        for k, (array, kind, shape, more) in enumerate(mesh)
-    ]
-    attributes = {'POSITION': 0, 'NORMAL': 1, 'COLOR_0': 2}
-    primitive = {'attributes': attributes, 'indices': 3, 'material': 0}
-    document = {
-        'asset': {'version': '2.0', 'generator': 'cnc_interp'},
-        'scene': 0,
-        'scenes': [{'nodes': [0]}],
-        'nodes': [{'mesh': 0}],
-        'meshes': [{'primitives': [primitive]}],
-        'materials': [{'pbrMetallicRoughness': {'metallicFactor': 0.0, 'roughnessFactor': 0.9}}],
-        'buffers': [{'byteLength': int(starts[-1])}],
-        'bufferViews': views,
-        'accessors': accessors,
-    }
-    text = json.dumps(document).encode()
-    text += b' ' * (-len(text) % 4)
-    binary = b''.join(parts)
-    binary += b'\0' * (-len(binary) % 4)
-    total = 12 + 8 + len(text) + 8 + len(binary)
-    head = struct.pack('<IIIII', MAGIC, 2, total, len(text), JSON_CHUNK)
-    return head + text + struct.pack('<II', len(binary), BINARY_CHUNK) + binary
 
 
 GROUND = '#26323c'
@@ -207,6 +125,7 @@ class MachineView:
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
         self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
         self._scene.classes('scene')
+        self._scene.on('init', self._draw_path)  # again where the browser has lost its drawing
         with self._scene:
             self._root = self._scene.group()
             with self._root:
@@ -288,13 +207,19 @@ class MachineView:
         if self._path is not None:
             self._path.delete()
         with self._scene, self._workpiece:
-            self._path = self._scene.gltf(f'/path/{number}.glb')
-        words = self._scene.id, self._path.id, SIDES
-        ui.run_javascript(f'scene.pickable({", ".join(map(json.dumps, words))})')
-        self._extent = plan.tip.min(axis=0), plan.tip.max(axis=0)
+            self._path = self._scene.group()
         self._done = 0
+        self._draw_path()
+        self._extent = plan.tip.min(axis=0), plan.tip.max(axis=0)
         self._show_triad()
         self.look_at_part(self._of_part)
+
+    def _draw_path(self) -> None:
+        if self._path is None:
+            return
+        corners = 3 * FACES * self._done
+        words = self._scene.id, self._path.id, f'/path/{self._shown}', SIDES, DONE, corners
+        ui.run_javascript(f'scene.show_path({", ".join(map(json.dumps, words))})')
 
     def clear_path(self) -> None:
         if self._path is not None:
@@ -314,7 +239,7 @@ class MachineView:
         if self._path is None or point == self._done:
             return
         self._done = point
-        words = self._scene.id, self._path.id, DONE, 3 * FACES * point
+        words = self._scene.id, self._path.id, 3 * FACES * point
         ui.run_javascript(f'scene.show_done({", ".join(map(json.dumps, words))})')
 
     def show_way(self, way: WayThere | None) -> None:

@@ -133,11 +133,11 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
         client.on_delete(lambda: access.leave(tab))
         Page(desk, access, tab, trusted, WRONG_TOKEN if token and not trusted else '')
 
-    @app.get('/path/{number}.glb')
+    @app.get('/path/{number}')
     def path(number: int) -> Response:
         if number != desk.tube_number:
             return Response(status_code=404)
-        return Response(desk.tube, media_type='model/gltf-binary')
+        return Response(desk.tube, media_type='application/octet-stream')
 
     @app.get('/body/{number}.stl')
     def body(number: int) -> Response:

@@ -12,9 +12,8 @@ from cnc_interp.page.contact import key
 from cnc_interp.program.job import MOST_TOOL, TOOL_SIZES, TOOL_TEXTS, JobSetup, Tool
 from cnc_interp.program.tool_files import csv_text, tbl_text, tools_of_text
 
-SIZES = dict(
-    zip(TOOL_SIZES, ('length', 'radius', 'corner', 'length wear', 'radius wear', 'flute'), strict=True)
-)
+#: Titles of the columns of lengths.
+SIZES = {name: name.removesuffix('_radius').replace('_', ' ') for name in TOOL_SIZES}
 TOUCH = 'touch Z'  #: Mark of the field with the Z at which a tool touches.
 
 

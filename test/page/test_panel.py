@@ -1,6 +1,5 @@
 """What the operator page is made of: keys, read-outs, the path as a mesh, the plan beside it."""
 
-import io
 import os
 import signal
 import subprocess
@@ -14,7 +13,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
 
 pytest.importorskip(
     'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
@@ -48,7 +46,7 @@ from cnc_interp.page.readings import (
     progress_words,
     words_before_start,
 )
-from cnc_interp.page.scene import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
+from cnc_interp.page.scene import INDISTINCT, SCALE, UNSEEN, tube
 from cnc_interp.page.start_choice import WayAhead
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.settings.options import Settings
@@ -85,60 +83,38 @@ def test_only_the_token_is_known_and_a_random_one_cannot_be_guessed():
     assert not Access().knows('')
 
 
-def test_the_tube_lies_around_the_path_and_takes_its_colours():
-    angle = np.linspace(0.0, 6.0, 60)
-    points = np.c_[np.cos(angle), np.sin(angle), 0.2 * angle] * 50 * MM
-    values = np.linspace(0.0, 2.0, len(points))
-    mesh = next(
-        iter(
-            trimesh.load(
-                io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
-            ).geometry.values()
-        )
-    )
-    vertices = mesh.vertices.reshape(len(points), SIDES, 3)
-    assert np.linalg.norm(vertices - points[:, None], axis=2) == pytest.approx(0.5 * MM, abs=1e-8)
-    along = np.gradient(points, axis=0)
-    assert np.abs(np.einsum('nki,ni->nk', vertices - points[:, None], along)).max() < 1e-9
-    outward = mesh.vertices - np.repeat(points, SIDES, axis=0)
-    assert (np.einsum('ni,ni->n', mesh.vertex_normals, outward) > 0.0).all()
-    assert (mesh.face_normals * (outward[mesh.faces].sum(axis=1))).sum(axis=1).min() > 0.0
-    colours = mesh.visual.vertex_attributes['color'][:, :3]
-    assert tuple(colours[0]) == SCALE[0] and tuple(colours[-1]) == SCALE[-1]
-
-
 def test_a_dense_path_is_drawn_with_what_can_be_seen():
     angle = np.linspace(0.0, 20.0, 20_000)
     points = np.c_[np.cos(angle), np.sin(angle), 0.02 * angle] * 50 * MM
     values = 1.0 + np.sin(3.0 * angle)
-    mesh = next(
-        iter(
-            trimesh.load(
-                io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
-            ).geometry.values()
-        )
-    )
-    drawn = mesh.vertices.reshape(-1, SIDES, 3).mean(axis=1)
-    colours = mesh.visual.vertex_attributes['color'][::SIDES, :3].astype(float)
-    assert len(drawn) < len(points) / 20
-    rows = tube(points, values, 2.0, 0.5 * MM)[1]
+    file, rows = tube(points, values, 2.0, 0.5 * MM)
+    radius, drawn, colours = read_tube(file)
+    assert radius == np.float32(0.5 * MM) and len(drawn) < len(points) / 20
     assert np.allclose(drawn, points[rows], atol=1e-6)
-    assert len(mesh.faces) == FACES * (len(rows) - 1)
+    assert tuple(colours[0]) == (*SCALE[2], 255)
     turned = np.unwrap(np.arctan2(drawn[:, 1], drawn[:, 0]))
     course = np.stack([np.interp(angle, turned, column) for column in drawn.T], axis=1)
     # Both are shares of one distance, and the course is compared at equal angles.
     assert np.linalg.norm(course - points, axis=1).max() < 1.1 * UNSEEN * 0.5 * MM
-    shown = np.stack([np.interp(angle, turned, column) for column in colours.T], axis=1)
+    shown = np.stack([np.interp(angle, turned, column) for column in colours.T[:3]], axis=1)
     known = np.linspace(0.0, 2.0, len(SCALE))
     true = np.stack([np.interp(values, known, column) for column in np.transpose(SCALE)], axis=1)
     assert np.abs(shown - true).max() < 1.1 * 255 * INDISTINCT
 
 
-def test_a_path_that_stands_still_is_a_mesh_too():
-    assert tube(np.zeros((3, 3)), np.ones(3), 1.0, 1e-3)[0][:4] == b'glTF'
+def read_tube(file):
+    """Radius, points and colours in the file of a tube."""
+    count = (len(file) - 4) // 16
+    radius, *places = np.frombuffer(file, '<f4', 1 + 3 * count)
+    colours = np.frombuffer(file, np.uint8, 4 * count, 4 + 12 * count)
+    return radius, np.reshape(places, (count, 3)), colours.reshape(count, 4)
+
+
+def test_a_path_that_stands_still_has_two_points_too():
     to_and_fro = np.array([[0.0, 0.0, 0.0], [1e-6, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    with np.errstate(all='raise'):
-        assert tube(to_and_fro, np.ones(3), 1.0, 1e-3)[0][:4] == b'glTF'
+    for points in (np.zeros((3, 3)), to_and_fro):
+        drawn = read_tube(tube(points, np.ones(3), 1.0, 1e-3)[0])[1]
+        assert drawn.tolist() == [[0, 0, 0], [0, 0, np.float32(1e-3)]]
 
 
 def test_read_outs_are_in_the_words_of_the_shop():

@@ -12,6 +12,7 @@ from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.page.contact import NO_TOKEN, WRONG_TOKEN
 from cnc_interp.page.hand_motion import EARLY, FILLS
+from cnc_interp.program.job import Tool
 
 LONG = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A0 C0\n' + 'G1 X30 F300\nG1 X0\n' * 200 + 'M30\n'
 FOCUS = 'document.activeElement?.closest("[data-mark]")?.dataset.mark ?? ""'
@@ -169,11 +170,18 @@ def test_m6_without_a_tool_changer_waits_and_names_the_tool(panel, tmp_path):
     tab.wait(lambda: tab.run('document.body.textContent.includes("has no length of this tool")'))
     assert (here(panel) == stood).all()
     tab.click_with_mouse('offsets')
-    for name, text in {'number': '5', 'length': '75.5', 'pocket': '12', 'remark': 'ball'}.items():
+    fields = {'number': '5', 'length': '75.5', 'flute': '20', 'pocket': '12', 'remark': 'ball'}
+    for name, text in fields.items():
         write(tab, f'new tool {name}', text)
     tab.click_with_mouse('set new tool')
     panel.spin_until(lambda: 5 in panel.setup.tools)
     tab.wait(lambda: 'tool 5: not set -> length 75.5' in (tab.text('setup change') or ''))
+    write(tab, 'tool 5 holder', 'slim')
+    tab.click_with_mouse('set tool 5')
+    tab.wait(lambda: 'holder slim' in (tab.text('setup change') or ''))
+    assert panel.setup.tools[5] == Tool(
+        0.0755, remark='ball', pocket=12, holder='slim', flute=0.02
+    )
     tab.click_with_mouse('close setup')
     tab.wait(lambda: tab.text('status') == 'planned')
     tab.click_with_mouse('cycle start')

@@ -23,6 +23,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import qos
 from cnc_interp.page.contact import AGAIN, VIEW_ONLY
 from cnc_interp.page.hand_motion import LOST, STALE, numbers
+from cnc_interp.page.scene import FACES, SIDES
 
 #: Line 7 is executed three times; line 9 ends the program at X0 Y40 Z10.
 PART = """(part)
@@ -512,6 +513,38 @@ def test_lines_are_found_by_text_and_picked_in_the_view(panel, part):
 
     tab.wait(picked)
     assert tab.run('document.querySelector(".lines .picked i").textContent') == '9'
+
+
+TUBE = """(() => {
+  const view = getElement(Number(document.querySelector('.scene').id.slice(1)));
+  let found = null;
+  for (const object of view.objects.values()) object.mesh?.traverse?.((part) => {
+    if (!part.isMesh || !part.geometry.attributes.color) return;
+    const { position, normal, color } = part.geometry.attributes;
+    found = [position, normal, color, part.geometry.index].map((one) => [...one.array]);
+  });
+  return found;
+})()"""
+
+
+@pytest.mark.thorough
+def test_the_path_is_drawn_as_a_tube_around_its_points(panel, part):
+    tab = panel.open_in_charge()
+    panel.load(tab, part)
+    tab.wait(lambda: tab.run(TUBE))
+    vertices, normals, colours, corners = map(np.array, tab.run(TUBE))
+    vertices, normals = (each.reshape(-1, SIDES, 3) for each in (vertices, normals))
+    middle = vertices.mean(axis=1)
+    out = vertices - middle[:, None]
+    radius = np.linalg.norm(out, axis=2)
+    assert len(middle) > 5 and radius == pytest.approx(radius[0, 0], rel=1e-3)
+    assert np.abs(normals - out / radius[..., None]).max() < 1e-3
+    assert (colours.reshape(-1, SIDES, 4)[..., 3] == 255).all()
+    faces = vertices.reshape(-1, 3)[corners.reshape(-1, 3)]
+    assert len(faces) == FACES * (len(middle) - 1)
+    across = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    outward = normals.reshape(-1, 3)[corners.reshape(-1, 3)].sum(axis=1)
+    assert (np.einsum('ij,ij->i', across, outward) > 0.0).all()
 
 
 #: Where the triad of the view stands, in the workpiece [m]: the group that holds the label X.

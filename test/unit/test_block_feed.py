@@ -85,7 +85,7 @@ def test_a_batch_that_was_lost_goes_out_again(feed):
 
 def test_single_block_adds_exact_stops_to_the_lines_that_it_sends(feed):
     """Few lines ahead of the machine; once sent, a line has its stop in each attempt."""
-    feed, sender, blocks = feed
+    feed, sender, _ = feed
     feed.fill(sender, single_block=True)
     assert feed.holds_back and sender.next_number == LINES_AHEAD + 1
     feed.fill(sender, single_block=True, executed=2)

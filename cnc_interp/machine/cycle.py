@@ -141,7 +141,7 @@ class Cycle:
         ):
             if time.monotonic() > deadline:
                 self.halt()
-                raise StreamError('the clock of the machine stands; activate machine_node again')
+                raise StreamError('the machine clock has stopped; activate machine_node again')
             time.sleep(1e-9 * self._period)
         return bool(
             control[kernel.SOURCE] == kernel.REST or not after < control[kernel.SERIAL] < serial

@@ -149,7 +149,7 @@ CAUSES = {
     hal_step.CHANGED: 'HAL does not play the setpoints that it was sent; does another program '
     'write into its streamer, or is a pin of the sampler wired to another signal?',
     hal_step.UNSEEN: 'samples of HAL were lost, because they were not read in time',
-    hal_step.FULL: 'HAL takes no more setpoints; its thread is too slow or stands',
+    hal_step.FULL: 'HAL takes no more setpoints; its thread is too slow or has stopped',
     hal_step.STOPPED: "HAL's thread has stopped; start it again: halcmd start",
 }
 

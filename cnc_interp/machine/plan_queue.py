@@ -146,7 +146,7 @@ class PlanQueue:
         expected = functions if before is None else max(before.acts.after, functions)
         acts = ActsOfChunk.of(chunk, self._signals, expected)
         if acts.waiting and before is not None and not before.chunk.rests:
-            raise StreamError('a function that waits must stand where the path rests')
+            raise StreamError('a function that waits must be at a rest of the path')
         serial = self._cycle.push(chunk, acts.switches)
         return BufferedChunk(serial, self.run_id, first, chunk, acts)
 

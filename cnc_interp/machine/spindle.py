@@ -130,7 +130,7 @@ class Spindle(NamedTuple):
         """Say why a line in step with the spindle has failed."""
         cause = self.state[0].cause
         if cause == NO_ANGLE:
-            return 'these drives do not tell the angle of the spindle in each period'
+            return 'these drives do not report the spindle angle in each period'
         if cause == STANDS:
             return 'the spindle does not turn, or not steadily; start it before (S, M3)'
         if cause == SHORT:

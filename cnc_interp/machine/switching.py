@@ -63,7 +63,7 @@ class ActsOfChunk(NamedTuple):
         if any(act.step.rests for row, act in rows if row) or any(
             act.step.rests for _, act in tail
         ):
-            raise StreamError('a function that waits must stand where the path rests')
+            raise StreamError('a function that waits must be at a rest of the path')
         end = [act for _, act in later] if chunk.wait is Wait.END else []
         return ActsOfChunk(rows, tail, end, expected + len(rows) + len(end))
 

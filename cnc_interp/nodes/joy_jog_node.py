@@ -20,11 +20,11 @@ TOOL = 'tool'  #: Name by which the tool stands among the axes in the names of p
 def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
     found = [
         Declared('enable_button', 4, 'Button that must be pressed, number in joy', 0, 63),
-        Declared('deadband', 0.1, 'Deflections below this count as none [-]', 0.0, 0.9),
+        Declared('deadband', 0.1, 'Deflections below this are ignored [-]', 0.0, 0.9),
     ]
     for name in (*names, TOOL):
         found += [
-            Declared(f'axis.{name}', -1, f'Axis of joy that moves {name}; -1: none', -1, 63),
+            Declared(f'axis.{name}', -1, f'Axis of joy that moves {name}; -1: no axis', -1, 63),
             Declared(f'scale.{name}', 1.0, 'Largest share of its velocity [-]', -1.0, 1.0),
         ]
     return tuple(found)

@@ -156,7 +156,7 @@ class Gate:
         if origin is not None and urlsplit(origin).netloc.lower() != headers['host'].lower():
             return PlainTextResponse('a page of another server may not use this one', 403)
         if 'transfer-encoding' in headers:
-            return PlainTextResponse('a request must tell its length', 411)
+            return PlainTextResponse('a request needs a Content-Length header', 411)
         length = headers.get('content-length', '0')
         if not length.isdigit() or int(length) > self._longest:
             return PlainTextResponse('the file is too long', 413)

@@ -329,7 +329,7 @@ class TouchOffField(NumberFields):
         async def touched() -> Answer:
             answer = await asyncio.wrap_future(self._setup.ask('touch_off', **of_axes(found)))
             if answer.ok:
-                ui.notify('touched off: the change stands below the coordinates')
+                ui.notify('touched off: the old and the new value are shown below the coordinates')
             return answer
 
         await self._command(touched)

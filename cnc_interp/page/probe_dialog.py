@@ -65,7 +65,7 @@ class ProbeDialog:
                     key(other, f'probe {other}', partial(self.open, other), colour)
             picture = _PICTURES[name] + _BALL.format(*_BEGINS[name])
             ui.html(f'<svg viewBox="0 0 120 80" width="180">{picture}</svg>', sanitize=False)
-            ui.label(f'{cycle.text}. It begins where the machine stands').classes('small')
+            ui.label(f'{cycle.text}. The cycle starts from the current position').classes('small')
             with ui.element('div').classes('fields'):
                 for told in cycle.parameters:
                     ui.label(told.text).classes('name')

@@ -29,9 +29,11 @@ class ToolRows:
                 self._row(number, setup.tools[number])
             self._row(None, None)
         with ui.element('div').classes('keyrow'):
-            ui.label(f'the tip of the tool in the spindle stands at Z [{unit.name}]')
+            ui.label(f'the tip of the tool in the spindle is now at Z [{unit.name}]')
             dialog.field(TOUCH, '0')
-            ui.label('of the program: press "length from here" of its number').classes('small')
+            ui.label('in the program: press "length from here" in the row of the tool').classes(
+                'small'
+            )
         with ui.element('div').classes('keyrow'):
             self._upload = ui.upload(
                 on_upload=self._take_file, auto_upload=True, max_file_size=LONGEST_YAML

@@ -361,7 +361,7 @@ def test_functions_that_cannot_be_are_refused():
         bench.play.push(replace(first, first_function=5))
     inside = next(c for c in found if c.samples.block[-1] > c.samples.block[0])
     late = replace(first.functions, block=np.full(len(first.functions), inside.samples.block[-1]))
-    with pytest.raises(StreamError, match='must stand where the path rests'):
+    with pytest.raises(StreamError, match='must be at a rest of the path'):
         bench.play.push(replace(inside, functions=late, first_function=0))
 
 

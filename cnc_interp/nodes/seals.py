@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Collection
+from functools import partial
 from typing import Any
 
 from rclpy.qos import QoSProfile
@@ -59,7 +60,8 @@ class SealedPublisher:
 class Ear:
     """Hears one topic; ignores, counts and names what has no seal of its one sender.
 
-    ``tell`` gets who sent it; ``spoilt`` tells whether a message was damaged on its way.
+    ``tell`` gets who sent it; ``spoilt`` tells whether a message was damaged on its way. ``read``
+    makes of the bytes what ``take`` gets.
     """
 
     def __init__(
@@ -67,13 +69,14 @@ class Ear:
         node: Any,
         kind: Any,
         topic: str,
-        take: Callable[[bytes], None],
+        take: Callable[[Any], None],
         profile: QoSProfile,
         diagnostics: Diagnostics | None = None,
         tell: Callable[[str], object] = str,
         spoilt: Callable[[bytes], bool] = lambda data: False,
+        read: Callable[[bytes], Any] = bytes,
     ):
-        self._tell, self._spoilt = tell, spoilt
+        self._tell, self._spoilt, self._read = tell, spoilt, read
         self._node, self._kind, self._topic, self._take = node, kind, topic, take
         self._diagnostics, self._place = diagnostics, place_of(node, topic)
         self._senders: dict[str, KnownSender] = {}
@@ -85,7 +88,8 @@ class Ear:
         fault = UNSEALED
         if found is not None:
             message, sender, number = found
-            known = self._known(message)
+            content = self._read(message)
+            known = self._known(content)
             fault = known.fault(sender, number, time.monotonic())
             if fault == WAITS:
                 return
@@ -93,18 +97,19 @@ class Ear:
                 self.ignore(SECOND, known.waiting)
                 known.waiting = 0
         elif not OWNERS[self._topic]:
-            message, fault = data, self._company()
+            content, fault = self._read(data), self._company()
         elif self._spoilt(data):
             return
         if fault:
             self.ignore(fault)
         else:
-            self._take(message)
+            self._take(content)
 
-    def _known(self, message: bytes) -> KnownSender:
+    def _known(self, content: Any) -> KnownSender:
         of = ''
         if self._topic == 'stream_status':  # three nodes publish there
-            of = deserialize_message(message, self._kind).stream
+            is_read = isinstance(content, self._kind)
+            of = (content if is_read else deserialize_message(content, self._kind)).stream
         return self._senders.setdefault(of, KnownSender(self._topic in STREAMS))
 
     def _company(self) -> str:
@@ -131,8 +136,5 @@ def hear(
     tell: Callable[[str], object] = str,
 ) -> Ear:
     """Take the messages of the node whose topic it is."""
-
-    def read(data: bytes) -> None:
-        take(deserialize_message(data, kind))
-
-    return Ear(node, kind, topic, read, profile, diagnostics, tell)
+    read = partial(deserialize_message, message_type=kind)
+    return Ear(node, kind, topic, take, profile, diagnostics, tell, read=read)

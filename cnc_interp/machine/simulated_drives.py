@@ -14,7 +14,7 @@ from cnc_interp.machine.drives import CycleDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 
-CALM = 0.01  #: Time between two steps at rest [s].
+CALM = 0.02  #: Time between two steps at rest [s].
 #: Of a simulated spindle: change of its speed without another one in the machine file [rev/s2],
 #: time in which it nears its speed [s], and words of its memory: step and memory of the axes,
 #: outputs and inputs by their addresses; their numbers; period, ramp and speed.

@@ -83,9 +83,8 @@ class MachineNode(LifecycleNode):
         told = self._diagnostics, self._give_up, self._pace.wake
         contact = contact_by_hand(machine, parameters.settings_of(values), drives.outputs)
         self._controls = Controls(self, self._playback, *told, contact)
-        self._topics = MachineTopics(
-            self, self._playback, values, self._overrides, self._controls.homing, self._diagnostics
-        )
+        given = self._overrides, self._controls.homing, self._diagnostics, self._pace.wake
+        self._topics = MachineTopics(self, self._playback, values, *given)
         node_main.every(self, CLOCK_PERIOD, self._report_clock)
 
     def _link(self, controller: str, feedback: str, joints: list[str]) -> Any:

@@ -48,7 +48,9 @@ class MachineTopics:
         overrides: Overrides,
         homing: Homing,
         diagnostics: Diagnostics,
+        wake: Callable[[], None],
     ):
+        self._wake = wake
         self._node, self._playback = node, playback
         self._overrides, self._homing = overrides, homing
         self._diagnostics = diagnostics
@@ -69,7 +71,7 @@ class MachineTopics:
         #: The modal states of the program and of the lines by hand that were told last.
         self._modes: dict[str, msg.ModalState] = {}
         for topic in ('active_modes', 'modal_state'):
-            take = partial(self._modes.__setitem__, topic)
+            take = partial(self._take_modes, topic)
             node.create_subscription(msg.ModalState, topic, take, LOADED)
         transform = Transform.of(playback.axes.machine)
         self._zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
@@ -78,6 +80,10 @@ class MachineTopics:
             Rate(values['joint_state_rate'], self._publish_joints),
             Rate(values['machine_state_rate'], self.publish_state),
         )
+
+    def _take_modes(self, topic: str, modes: msg.ModalState) -> None:
+        self._modes[topic] = modes
+        self._wake()  # the coordinates may read otherwise now
 
     def work(self) -> None:
         now = time.monotonic()

@@ -161,7 +161,9 @@ def every(node: Any, period: float, act: Callable[[], None]) -> Any:
     return node.create_timer(period, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-REST = 0.25  #: Time between two calls at rest [s].
+#: Time between two calls at rest [s]; it decides how often the nodes are heard then, and so what
+#: they cost.
+REST = 0.5
 CALM = 1.0  #: Time after the last need for work until the node rests [s].
 
 

@@ -141,7 +141,8 @@ class ProgramNode(Node):
         self._peers = Peers(self, len(self._transform.machine.axis_names), self._diagnostics)
         self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         services = self._table, self._transform, self._peers, self._mdi.coordinates
-        self._setup = SetupServices(self, *services)
+        self._pace = Pace(self, WORK_PERIOD, self._work)
+        self._setup = SetupServices(self, *services, self._pace.wake)
         self._signals = self._transform.machine.signals
         self._feed = BlockFeed(self._signals)
         self._switch = self.create_client(SwitchOutputs, 'switch_outputs')
@@ -172,7 +173,6 @@ class ProgramNode(Node):
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
-        self._pace = Pace(self, WORK_PERIOD, self._work)
         self._diagnostics.say('program', OK, 'no program')
 
     def _accept(self, handle: Any) -> None:

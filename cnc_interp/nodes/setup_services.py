@@ -19,7 +19,7 @@ from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange
 from cnc_interp.wire.run_messages import setup_table
 
-FRESH = 1.0  #: The machine's last word must not be older for a touch-off [s].
+FRESH = 2.0  #: The machine's last word must not be older for a touch-off [s].
 #: The rotary axes stand at zero within this [rad].
 AT_ZERO = 1e-9
 RUNNING = frozenset(('active offset', 'spindle'))
@@ -33,6 +33,7 @@ class SetupServices:
         transform: Transform,
         peers: Peers,
         coordinates: Callable[[JobSetup], ProgramCoordinates],
+        wake: Callable[[], None],
     ):
         self._transform, self._coordinates = transform, coordinates
         self._table, self._peers, self._node = table, peers, node
@@ -48,7 +49,7 @@ class SetupServices:
             (SetTool, 'set_tool', self._tool),
             (TouchOff, 'touch_off', self._touch_off),
         ):
-            node.create_service(kind, name, answering(partial(self._change, changes)))
+            node.create_service(kind, name, answering(partial(self._change, changes), wake))
         self._publisher.publish(self._message())
 
     def _message(self) -> SetupMessage:

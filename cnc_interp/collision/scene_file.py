@@ -193,7 +193,7 @@ class _Reading:
         where = f'holders.{tool.holder or HOLDER}'
         rows = holders.get(tool.holder or HOLDER)
         radius, length, corner = tool.radius, tool.length, tool.corner_radius or 0.0
-        given = {'diameter_mm': 2.0 * radius / MM, 'corner_mm': corner / MM}
+        given: dict[str, Any] = {'diameter_mm': 2.0 * radius / MM, 'corner_mm': corner / MM}
         given |= {'flute_mm': length / MM, 'length_mm': length / MM}
         if rows:
             shifted = self._rows(rows, 2, where) / MM + [length / MM, 0.0]

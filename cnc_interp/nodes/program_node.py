@@ -269,6 +269,8 @@ class ProgramNode(Node):
         if self._feed.holds_back and now - self._alive_at > ALIVE:
             self._alive_at = now
             self._outlet.publish(G1BlockBatch())
+            if state is None or state.waits_for == MachineState.WAITS_FOR_SETPOINTS:
+                self._feed.ahead += 1  # some lines have no motion
 
     def _see_contact(self, contact: ProbeContact) -> None:
         self._contacts = {contact.program_id: contact}

@@ -373,9 +373,9 @@ class ProgramRun:
 MOST_QUEUED = 512  #: Blocks queued for sending at a time; not the whole program.
 MOST_TOGETHER = 64  #: Most blocks in one message.
 #: Line ends sent beyond the executed block in single block, so that few lines keep their exact
-#: stops when it is switched off. The look-ahead holds one segment back, and the planner sees that
-#: a line ends by the next one.
-LINES_AHEAD = 3
+#: stops when it is switched off. The look-ahead needs some blocks before a corner is final, and
+#: the planner sees that a line ends by the next one.
+LINES_AHEAD = 8
 
 
 class BlockFeed:
@@ -390,13 +390,14 @@ class BlockFeed:
         self._undecided = 0
         self._stops: list[int] = []  # rows of the exact stops that it has added
         self.holds_back = False  # blocks, until the machine has executed more
+        self.ahead = LINES_AHEAD
 
     def begin(
         self, prepared: Prepared, run_id: RunId, continue_at: float, sender: WindowedSender[slice]
     ) -> None:
         if prepared is not self._prepared:  # else the same path is needed again
             start = None if prepared.start is None else prepared.start.block.row
-            self._undecided, self._stops = start or 1, []
+            self._undecided, self._stops, self.ahead = start or 1, [], LINES_AHEAD
         self._prepared, self._run_id, self._continue_at = prepared, run_id, continue_at
         self._queued = 0
         sender.begin(run_id)
@@ -412,7 +413,7 @@ class BlockFeed:
             if self._queued < self._undecided:
                 after = min(after, self._undecided)
             elif single_block:
-                if sum(row > executed for row in self._stops) >= LINES_AHEAD:
+                if sum(row > executed for row in self._stops) >= self.ahead:
                     self.holds_back = True
                     return
                 ends = line_ends(program.blocks[self._queued : after + 1])

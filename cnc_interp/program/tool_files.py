@@ -74,7 +74,7 @@ def _tool(words: Mapping[str, str], unit: float) -> tuple[int, Tool]:
     if 'diameter' in words:
         sizes['radius'] = 0.5 * float(words['diameter'] or 0.0) * unit
     number, pocket = (int(words.get(name) or 0) for name in ('number', 'pocket'))
-    texts = {name: words.get(name, '').strip() for name in TOOL_TEXTS}
+    texts: dict[str, Any] = {name: words.get(name, '').strip() for name in TOOL_TEXTS}
     return number, Tool(pocket=pocket, **texts, **sizes)
 
 

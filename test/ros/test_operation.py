@@ -164,9 +164,12 @@ def test_single_block_rests_at_the_programmed_ends_of_lines(bench):
     q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in bench.told(run)])
     assert limit_use(q, LIMITS) <= 1.001
     tips = TRANSFORM.forward(q)[0]
-    near = [np.linalg.norm(tips - end, axis=1).min() for end in blocks.tip[1:-1]]
+    ends = blocks.tip[np.append(np.diff(blocks.line_number) > 0, False)][1:]
+    near = [np.linalg.norm(tips - end, axis=1).min() for end in ends]
     reached = np.flatnonzero(np.array(near) < 1e-8)
-    assert reached.tolist() == list(range(4 + LINES_AHEAD)), near
+    # On a busy computer some more were sent, because the machine waited for setpoints.
+    assert reached.tolist() == list(range(len(reached))), near
+    assert 4 + LINES_AHEAD <= len(reached) < len(ends)
 
 
 @pytest.mark.thorough

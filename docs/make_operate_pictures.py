@@ -35,7 +35,7 @@ homing:
   required: true
 signals:
   outputs: {probe_armed: {range: [0, 2]}}
-  inputs: {probe:}
+  inputs: {probe: null}
   functions: {G38.2: [{probe_armed: 1}], G38.4: [{probe_armed: 2}]}
 """
 )

@@ -15,7 +15,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from cnc_interp.core import FloatArray, InterpError
+from cnc_interp.core import MM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
@@ -317,12 +317,14 @@ class ProgramNode(Node):
         waiting = ', '.join(self._queue.names)
         values: dict[str, object] = {WAITING: waiting}
         text, waits_for = f'running {run.name}', run.waits_for(self._peers)
+        state = self._peers.state
         if waits_for is not None and not run.trouble:
             text, values[PREPARED] = waits_for
-        if (tool := run.tool_wanted(self._peers.state, self._signals)) is not None:
+        if (tool := run.tool_wanted(state, self._signals)) is not None:
             values[TOOL] = tool
-        if (beside := run.off_line_end(self._peers.state)) is not None:
-            values[OFF_LINE_END] = beside
+        if state is not None and (off := run.off_line_end(state)) is not None:
+            values[OFF_LINE_END] = off
+            text += f'; rests {off / MM:.3f} mm from the end of line {state.line_number}'
         text += f'; then {waiting}' if waiting else ''
         level, text = (WARN, run.trouble) if run.trouble else (OK, text)
         self._diagnostics.say('program', level, text, **values)

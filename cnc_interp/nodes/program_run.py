@@ -289,12 +289,11 @@ class ProgramRun:
         step = signals.steps[int(program.functions.step[last])]
         return int(program.functions.value[last]) if signals.is_change(step) else None
 
-    def off_line_end(self, state: MachineState | None) -> float | None:
+    def off_line_end(self, state: MachineState) -> float | None:
         """Return how far the tool tip rests from the end of its line after a single block [m]."""
         program = self.preparation.prepared
-        if state is None or program is None or state.program_id != self.run_id.program_id:
-            return None
-        if state.reason != MachineState.REASON_SINGLE_BLOCK or not state.resting:
+        rests = state.resting and state.reason == MachineState.REASON_SINGLE_BLOCK
+        if program is None or not rests or state.program_id != self.run_id.program_id:
             return None
         row = int(state.sequence)
         return float(np.linalg.norm(program.blocks[row : row + 1].tip[0] - state.tip))

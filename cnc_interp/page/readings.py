@@ -62,9 +62,9 @@ def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
     if off > AT_LINE_END:
         where = (
             f'rests {unit.length(off)} {unit.name} beside the end of line {state.line_number}, '
-            'inside a corner that was rounded before single block was on'
+            'inside its rounded corner'
         )
-    return f'single block: {where}. Cycle start executes the next line'
+    return f'single block: {where}; cycle start executes the next line'
 
 
 def change_text(number: int, setup: JobSetup, unit: LengthUnit) -> str:

@@ -47,12 +47,13 @@ from cnc_interp.collision.mill_sweep import slabs_of
 from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.collision.stock import (
     AXIS,
+    CUT,
     MOTION,
     MOVE,
     TIP,
-    Mills,
-    cut_by,
     field_of,
+    in_field,
+    pass_over,
     volume,
 )
 from cnc_interp.kinematics.axis_path import evaluate
@@ -79,6 +80,11 @@ CLAMPS = """
 include: {machine}
 bodies:
 {clamps}
+"""
+#: A stock around the feeds of a program, for a ball mill that is long enough to reach all of it.
+STOCKED = """
+stock: {{link: workpiece, box_mm: {{low: {low}, high: {high}}}, grid_mm: 0.4}}
+tools: {{1: {{diameter_mm: 6, corner_mm: 3, flute_mm: 45, holder_mm: [[150, 6], [200, 20]]}}}}
 """
 #: Programs, their machines, and where six clamps lie around the part [mm].
 PROGRAMS = {
@@ -264,6 +270,16 @@ def programs():
             if 'collision' not in made:
                 print(f'{name:<12} exit code {code}: {told.strip().splitlines()[-1][:120]}')
                 continue
+            blocks = np.load(folder / 'alone' / 'blocks.npz')
+            feeds = blocks['tip'][~blocks['rapid']] * 1e3
+            low, high = feeds.min(axis=0) - [3.0, 3.0, 2.0], feeds.max(axis=0) + [3.0, 3.0, 0.5]
+            stocked_file = folder / 'stocked.yaml'
+            stocked_file.write_text(
+                scene_file.read_text()
+                + STOCKED.format(low=low.round(2).tolist(), high=high.round(2).tolist())
+            )
+            words = '--scene', str(stocked_file), '--collision', 'warn'
+            stocked, _, memory_of_stock, _ = plan(file, machine, folder / 'stocked', *words)
             check = [sys.executable, '-m', 'cnc_interp', 'check', str(folder / 'plan')]
             proof = subprocess.run(check, capture_output=True, cwd=ROOT, check=False)
             clamped(20.0)
@@ -280,12 +296,14 @@ def programs():
                 f'{more - memory:>+11.0f}{verdict:>8}{hits:>19}',
                 flush=True,
             )
-
-
-def alone(mill):
-    """Return the slabs of a mill that is the only one, with the number 0."""
-    slabs = slabs_of(mill)
-    return Mills(slabs, np.array([0, len(slabs)]))
+            rest = stocked['planning_time_by_room']['collision'] - seconds['collision']
+            cut = stocked['collision']['stock']
+            print(
+                f'{"  with a stock":<30}{cut["pieces"]:>8} pieces{rest:>9.3f} s'
+                f'{rest / alone["planning_time"]:>9.1%}{memory_of_stock - memory:>+11.0f} MB, '
+                f'{cut["removed"] * 1e9:.0f} of {cut["volume"] * 1e9:.0f} mm3, {cut["hits"]} hits',
+                flush=True,
+            )
 
 
 def stock():
@@ -309,7 +327,8 @@ def stock():
     print(f'{"mill":<10}{"grid mm":>9}{"error x":>10}{"y":>10}{"z":>10}{"segments/s, z":>15}')
     still = np.zeros((1, MOTION))
     still[0, AXIS + 2] = 1.0
-    cut_by(field_of(block, 0, 4e-4, True), still, alone(mills[0]), 4e-5)  # compiles
+    made = field_of(block, 0, 4e-4, True)
+    pass_over(made, slabs_of(mills[0]), still[0], 4e-5, (0, 1, 0, 1), CUT)  # compiles
     for name, mill, width in zip(('flat', 'ball', 'bull'), mills, layer, strict=True):
         radii = np.array([width(z) for z in heights])
         exact = (20.0 * 2.0 * radii + np.pi * radii**2).mean() * 3.0
@@ -324,7 +343,9 @@ def stock():
             for axis in range(3):
                 made = field_of(block, axis, grid, True)
                 before, begun = volume(made), time.process_time()
-                made = cut_by(made, rows, alone(mill), 0.1 * grid)
+                window = 0, made.used.shape[0], 0, made.used.shape[1]
+                for row in in_field(made, rows):
+                    pass_over(made, slabs_of(mill), row, 0.1 * grid, window, CUT)
                 seconds = time.process_time() - begun
                 errors.append((before - volume(made)) * 1e9 / exact - 1.0)
             told = ''.join(f'{error:>+10.3%}' for error in errors)

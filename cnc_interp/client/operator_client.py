@@ -28,6 +28,7 @@ from cnc_interp.nodes.node_main import (
     BODIES,
     OFF_LINE_END,
     PREPARED,
+    STOCK,
     TOOL,
     WAITING,
     WITHOUT,
@@ -134,6 +135,7 @@ class OperatorClient(ServedNode):
         #: Names of two bodies that hit each other or would, and the sentence; by who tells it.
         self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
         self.machine = self.scene = self.setup_file = ''
+        self.stock = ''  #: What the run has cut off the stock of its scene.
         self._on_state = on_state
         watch_machine(node, self._see_state)
         for kind, topic, name in (
@@ -209,6 +211,8 @@ class OperatorClient(ServedNode):
             self.hits.pop(status.name, None)
             if BODIES in values:
                 self.hits[status.name] = tuple(values[BODIES].split(AND)), status.message
+            if STOCK in values:
+                self.stock = values[STOCK]
             if WITHOUT in values:
                 self.uncompensated = float(values[WITHOUT])
 

@@ -154,6 +154,7 @@ class RunConsole:
             faults=tuple(self._children.faults.values()),
             scene=str(self._request.settings.scene or ''),
             hits=tuple(text for _, text in self._client.hits.values()),
+            stock=self._client.stock,
         )
 
     def _wait_for_nodes(self) -> None:

@@ -90,6 +90,7 @@ class RunResult:
     program_id: str = ''
     scene: str = ''  #: The scene against which each piece of the path was checked.
     hits: tuple[str, ...] = ()  #: What the path hits, of a run that is only warned.
+    stock: str = ''  #: What was cut off the stock of the scene.
     #: Motion time of the program, and of the move to its start pose [s].
     cycle_time: float = 0.0
     approach_time: float = 0.0
@@ -151,7 +152,8 @@ class RunResult:
             lines.append(tool_error_text(self.tool_error, self.flank_height))
         if self.scene:
             clear = f'each piece of the path kept the clearances of {self.scene}'
-            lines.append(f'collision      {"NOT clear" if self.hits else clear}')
+            stock = f'; stock: {self.stock}' if self.stock else ''
+            lines.append(f'collision      {"NOT clear" if self.hits else clear}{stock}')
         lines += [
             f'fault          {fault.splitlines()[-1]}: please report it; --json has the traceback'
             for fault in self.faults

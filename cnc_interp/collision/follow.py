@@ -111,10 +111,11 @@ class CutStock:
         """The pieces of motion that have cut, (n, MOTION)."""
         return self._rows[: self._count]
 
-    @property
-    def removed(self) -> float:
-        """Volume that has been removed [m3]."""
-        return self.whole - volume(self.field)
+    def figures(self) -> dict[str, Any]:
+        """Return the width of a cell [m], volumes at first and removed [m3], number of pieces."""
+        removed = float(self.rows[:, REMOVED].sum())
+        own = {'grid': self.pitch, 'volume': self.whole, 'removed': removed}
+        return own | {'pieces': len(self.rows)}
 
     def _mills(self, grown: Callable[[int], float], cutter: bool) -> Mills:
         """Return the slabs of cutters, or of all else on the tools, grown by so much."""

@@ -332,12 +332,12 @@ def _pass_slab(
             removed = 0.0
             for i in range(max(i0, bi * BLOCK), min(i1, bi * BLOCK + BLOCK - 1) + 1):
                 for j in range(max(j0, bj * BLOCK), min(j1, bj * BLOCK + BLOCK - 1) + 1):
-                    if overlap(field, i, j, low[2], high[2]) == 0.0:
-                        continue
                     pu = low_u + (i + field.shift_u[j]) * pitch
                     pv = low_v + (j + field.shift_v[i]) * pitch
                     at = pu * nu + pv * nv
                     if at < least or at > most:
+                        continue
+                    if overlap(field, i, j, low[2], high[2]) == 0.0:
                         continue
                     begin, end = swept(pu - c[0], pv - c[1], a, slab, v, strips, count)
                     begin, end = begin + c[2], end + c[2]
@@ -439,10 +439,15 @@ def _beside(row: FloatArray, slabs: FloatArray, at: tuple[float, float], room: f
     return False
 
 
-def cut_by(field: Field, rows: FloatArray, mills: Mills, step: float) -> Field:
-    """Cut a field by pieces of motion, (n, MOTION); return it with the room for that."""
+def in_field(field: Field, rows: FloatArray) -> FloatArray:
+    """Return pieces of motion in u, v and w of a field."""
     turned = rows.copy()
     for first in (TIP, AXIS, MOVE, TURN):
         turned[:, first : first + 3] = np.roll(rows[:, first : first + 3], 2 - field.axis, axis=1)
+    return turned
+
+
+def cut_by(field: Field, rows: FloatArray, mills: Mills, step: float) -> Field:
+    """Cut a field by pieces of motion, (n, MOTION); return it with the room for that."""
     field.wanted[:] = 1
-    return roomy(field, freshen, mills, turned, step)
+    return roomy(field, freshen, mills, in_field(field, rows), step)

@@ -228,7 +228,9 @@ class FeedrateNode(LifecycleNode):
         found = planner.clearance if planner is not None else None
         if found is None or not found.hits:
             if self._values['scene']:
-                self._diagnostics.say('collision', node_main.OK, 'no hit')
+                stock = found.stock_text() if found is not None else ''
+                values = {node_main.STOCK: stock} if stock else {}
+                self._diagnostics.say('collision', node_main.OK, 'no hit', **values)
             return
         first, more = found.hits[0], len(found.hits) - 1
         text = first.text(self._transform.machine) + f' (and {more} more)' * bool(more)

@@ -214,7 +214,7 @@ PREPARED = 'prepared'  #: Key of the share of what a program waits for before it
 #: Key under which machine_node gives the contour error that there were without compensation [m].
 WITHOUT = 'contour_error_without_compensation'
 #: Key under which a node names two bodies that hit each other, or would; apart by ``AND``.
-BODIES, AND = 'bodies', ' | '
+BODIES, AND, STOCK = 'bodies', ' | ', 'stock'
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 

@@ -103,6 +103,7 @@ class LiveClearance:
         self._clearance, self._mode, self._line_of = clearance, mode, line_of
         self._functions = Functions.none()
         self.hits: list[Hit] = []  #: Of a run that is refused at the first one, or only warned.
+        self.stock: CutStock | None = None  #: As it is at the end of what was checked.
 
     @staticmethod
     def of(
@@ -111,10 +112,6 @@ class LiveClearance:
         most = 1 if settings.collision == REFUSE else 0
         clearance = clearance_of(machine, settings, most)
         return None if clearance is None else LiveClearance(clearance, settings.collision, line_of)
-
-    @property
-    def stock(self) -> CutStock | None:
-        return self._clearance.stock
 
     def call_tools(self, functions: Functions) -> None:
         self._functions = Functions.concatenate([self._functions, functions])
@@ -125,6 +122,7 @@ class LiveClearance:
         from cnc_interp.collision.hits import CollisionError
 
         hits, _ = self._clearance.push(path, rapid_cells(path), self._line_of)
+        self.stock = self._clearance.stock
         self.hits += hits
         if hits and self._mode == REFUSE:
             raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
@@ -132,6 +130,12 @@ class LiveClearance:
     def pass_by(self, path: AxisPath) -> None:
         """Cut the stock along a part that comes before the place to go on from."""
         self._clearance.pass_by(path, rapid_cells(path), self._functions)
+
+    def stock_text(self) -> str:
+        """Say in one line what has been cut off the stock; '' without one."""
+        from cnc_interp.run.plan_figures import stock_text
+
+        return '' if self.stock is None else stock_text(self.stock.figures())
 
 
 def rapid_cells(path: AxisPath) -> BoolArray:
@@ -205,13 +209,7 @@ class ClearanceStage:
         stock, part = self.clearance.stock, self.clearance.scene.part
         if stock is None:
             return {}
-        found: dict[str, Any] = {
-            'grid': stock.pitch,
-            'volume': stock.whole,
-            'removed': stock.removed,
-            'pieces': len(stock.rows),
-            'hits': sum(hit.material for hit in self.hits),
-        }
+        found = stock.figures() | {'hits': sum(hit.material for hit in self.hits)}
         if part is not None:
             from cnc_interp.collision.rest import against_part
 

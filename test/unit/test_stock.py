@@ -1,5 +1,6 @@
 """The stock that is cut: volumes, what meets what is left, and what `check` must catch."""
 
+import csv
 import json
 import subprocess
 import sys
@@ -350,7 +351,8 @@ def test_a_run_that_goes_on_inside_has_the_stock_of_its_place(folder, cut, free)
         planner.push(segment, {})
     stock = planner.clearance.stock
     layers = quad(lambda z: 20 * 2 * bull_width(z, 1.0) + np.pi * bull_width(z, 1.0) ** 2, 0, 3)
-    assert stock.removed / MM**3 == pytest.approx(layers[0], rel=0.01)
+    assert stock.figures()['removed'] / MM**3 == pytest.approx(layers[0], rel=0.01)
+    assert 'of 1.6e+04 mm3 removed' in planner.clearance.stock_text()
 
 
 def test_excess_and_gouge_are_those_of_the_part(folder):
@@ -379,6 +381,19 @@ def test_removal_rates_sum_up_to_the_volume(folder):
     # 20 mm/s with a section of 6 by 3 mm, less both corners.
     section = quad(lambda z: 2 * bull_width(z, 1.0), 0, 3)[0]
     assert rate.max() == pytest.approx(20 * section * MM**3, rel=0.1)
+
+
+@pytest.mark.thorough
+def test_a_batch_and_a_sweep_say_in_one_line_what_was_cut(folder):
+    words = ['--machine', 'xyzac', '--scene', str(folder / 'scene.yaml')]
+    part, both = str(folder / 'part.ngc'), ('keep their clearances', 'of 1.6e+04 mm3 removed')
+    assert main(['batch', part, '--out', str(folder / 'all'), '--workers', '1', *words]) == 0
+    row = next(csv.DictReader((folder / 'all' / 'table.csv').open()))
+    assert all(text in row['notices'] for text in both)
+    many = ['sweep', '--out', str(folder / 'swept'), '--workers', '1', '--vary', 'ratio', '1.5']
+    assert main([*many, '--', 'plan', part, *words]) == 0
+    rows = list(csv.DictReader((folder / 'swept' / 'sweep.csv').open()))
+    assert rows and all(text in row['collision'] for row in rows for text in both)
 
 
 def test_without_a_stock_nothing_of_it_is_loaded(tmp_path):

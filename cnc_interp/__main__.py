@@ -11,22 +11,24 @@ from types import FrameType
 from typing import Any
 
 from cnc_interp.processes.one_thread import use_one_thread
+from cnc_interp.processes.stop_signals import STOPS
 
 AGAIN = 0.01  #: After such times it is looked whether a lost interrupt can come again [s].
 
 
 def main() -> int:
-    """Load the commands, which takes a second, and run one; Ctrl-C ends that, too."""
+    """Load the commands, which takes a second, and run one; Ctrl-C and SIGTERM end that, too."""
     use_one_thread()
-    heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if heeded:
-        signal.signal(signal.SIGINT, leave)
+    usual = (signal.default_int_handler, signal.SIG_DFL)
+    heeded = [number for number in STOPS if signal.getsignal(number) in usual]
+    for number in heeded:
+        signal.signal(number, leave)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # ./cnc has blocked it
     from cnc_interp.commands import cli
 
-    if heeded:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.unraisablehook = interrupt_again
+    for number in heeded:
+        signal.signal(number, cli.interrupt)
     return cli.main()
 
 

@@ -96,6 +96,29 @@ def test_ctrl_c_in_a_finaliser_or_while_a_library_loads_is_not_lost(load):
     assert (done.returncode, done.stderr) == (130, 'cnc-interp: interrupted\n')
 
 
+LOADING = """
+import signal, sys
+from cnc_interp import __main__
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == 'cnc_interp.commands.cli':
+            signal.raise_signal(number)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Finder())
+raise SystemExit(__main__.main())
+"""
+
+
+@pytest.mark.parametrize('number', STOPS)
+def test_a_signal_while_the_commands_are_loaded_ends_with_one_line(number):
+    """SIGTERM and a closed terminal ended the command without a word in its first second."""
+    words = [sys.executable, '-c', f'number = {int(number)}\n{LOADING}']
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, 'cnc-interp: interrupted\n')
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
 def test_a_plan_with_processes_ends_with_one_line(tmp_path, number):

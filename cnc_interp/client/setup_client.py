@@ -35,13 +35,16 @@ class OffsetChange:
 
     def text(self, unit: LengthUnit) -> str:
         """Return the values that changed, as ``G54 X -5.000 → 32.500 mm``."""
-        words = [
-            f'{letter} {unit.shown(letter, self.counted.get(letter, 0.0))} → '
-            f'{unit.shown(letter, value)} {unit.suffix(letter)}'
+        shown = {
+            letter: (unit.shown(letter, self.counted.get(letter, 0.0)), unit.shown(letter, value))
             for letter, value in self.counts.items()
-            if self.counted.get(letter, 0.0) != value
+        }
+        words = [
+            f'{letter} {was} → {now} {unit.suffix(letter)}'
+            for letter, (was, now) in shown.items()
+            if was != now
         ]
-        return f'{self.name} {", ".join(words)}'
+        return f'{self.name} {", ".join(words) or "changed by less than is shown"}'
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.operator_client import SWITCHES, SharedValue
 from cnc_interp.client.run_request import RunResult
+from cnc_interp.client.setup_client import OffsetChange
 from cnc_interp.commands.cli import main
 from cnc_interp.core import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
@@ -115,6 +116,13 @@ def test_a_path_that_stands_still_has_two_points_too():
     for points in (np.zeros((3, 3)), to_and_fro):
         drawn = read_tube(tube(points, np.ones(3), 1.0, 1e-3)[0])[1]
         assert drawn.tolist() == [[0, 0, 0], [0, 0, np.float32(1e-3)]]
+
+
+def test_a_change_of_an_offset_names_what_reads_otherwise_now():
+    """A touch-off at a place that was set already had changed Y from -69.850 to -69.850."""
+    before, after = {'X': 0.1, 'Y': -0.06985}, {'X': 0.2, 'Y': -0.06985 + 1e-11}
+    assert OffsetChange('G54', {}, before, after).text(MILLIMETRES) == 'G54 X 100.000 → 200.000 mm'
+    assert 'less than' in OffsetChange('G54', {}, after, {**before, 'X': 0.2}).text(MILLIMETRES)
 
 
 def test_read_outs_are_in_the_words_of_the_shop():

@@ -154,8 +154,7 @@ class Walk:
     def change_tool(self) -> None:
         """Start; the first line asks for tool 1."""
         while self._tab.text('override') != SLOW:
-            self._tab.type_key('-')
-            time.sleep(0.2)
+            self.press('slower')
         self.press('cycle start')
         self._tab.wait(lambda: 'put tool 1' in self._tab.text('why'))
         self.picture('tool_change', 'why', 'start', 'cycle start')

@@ -59,6 +59,7 @@ def xs(text, **options):
         ('[FIX[COS[-60]*2]]', 1),
         ('[90 MOD ASIN[0.5]]', 0),
         ('[FIX[TAN[45]]]', 1),
+        ('[7 XOR COS[90]]', 0),  # it is not 0 on LinuxCNC, either
         ('[ATAN[0]/[-1 MOD 1]]', 180),  # MOD is -0, as in LinuxCNC
     ],
 )

@@ -361,17 +361,16 @@ def _whole(value: float) -> int:
 
 
 def _at_half(value: float) -> float:
-    """Return a whole or half number for one beside it by rounding: SIN[30] is 0.5."""
+    """Return a whole or half number but 0 for one beside it by rounding: SIN[30] is 0.5."""
     nearest = round(2.0 * value) / 2.0
-    return nearest if abs(value - nearest) < 1e-15 * max(1.0, abs(value)) else value
+    near = nearest and abs(value - nearest) < 1e-15 * max(1.0, abs(value))
+    return nearest if near else value
 
 
-def _sine(x: float) -> float:
-    return _at_half(math.sin(math.radians(x)))
-
-
-def _cosine(x: float) -> float:
-    return _at_half(math.cos(math.radians(x)))
+def _tangent(x: float) -> float:
+    if abs(math.cos(math.radians(x))) < 1e-15:
+        raise ValueError
+    return _at_half(math.tan(math.radians(x)))
 
 
 def _arc_tangent(y: float, x: float = 1.0) -> float:
@@ -383,9 +382,9 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
     'SQRT': ((1,), math.sqrt),
     'SQR': ((1,), math.sqrt),
     **dict.fromkeys(('POT', 'SQ'), ((1,), lambda x: x * x)),
-    'SIN': ((1,), _sine),
-    'COS': ((1,), _cosine),
-    'TAN': ((1,), lambda x: _at_half(_sine(x) / _cosine(x))),
+    'SIN': ((1,), lambda x: _at_half(math.sin(math.radians(x)))),
+    'COS': ((1,), lambda x: _at_half(math.cos(math.radians(x)))),
+    'TAN': ((1,), _tangent),
     'ASIN': ((1,), lambda x: _at_half(math.degrees(math.asin(x)))),
     'ACOS': ((1,), lambda x: _at_half(math.degrees(math.acos(x)))),
     'ATAN': ((1, 2), _arc_tangent),

@@ -272,6 +272,22 @@ def test_a_thin_neck_may_follow_its_mill_and_a_thick_holder_may_not(folder, caps
     assert 'line 5, holder and stock' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('aside', [0.0, 0.1, 0.2, 0.3])
+def test_a_wall_thinner_than_a_cell_is_not_missed_by_the_shank(folder, capsys, aside):
+    """Between the lines of the nominal field there may be none of its material."""
+    tool = '  1: {diameter_mm: 6, flute_mm: 2, shank_mm: [[2, 2], [20, 2]]}\n'
+    (folder / 'scene.yaml').write_text(f'tools:\n{tool}' + BLOCK % 0.4)
+    for wall, code in ((0.1, 2), (-1.0, 0)):
+        side, lines_of_program = R + wall / 2, ['G21 G90', 'G0 X-26 Y0 Z5 A0 C0']
+        for y in (aside + side, aside - side, aside):
+            for z in (-1, -2, -3) if y != aside else (-3,):
+                lines_of_program += [f'G0 X-26 Y{y:.3f}', f'G1 Z{z} F1200', 'X26', 'G0 Z5']
+        (folder / 'part.ngc').write_text('\n'.join([*lines_of_program, 'M30', '']))
+        assert plan(folder) == code
+        line = len(lines_of_program) - 1
+        assert (f'line {line}, shank and stock' in capsys.readouterr().err) == (code == 2)
+
+
 def test_planted_faults_of_the_cutter_are_found(folder, capsys):
     assert plan(folder) == 0
     file = folder / 'plan' / 'remaining.npz'

@@ -42,8 +42,8 @@ signals:
 PART = 'surfaces: [{bore: [15.0, 12.0, 0.0], radius_mm: 8.0}]\n'
 #: Width, height and whether it is a phone; columns and scale of the sheet of its pictures.
 SCREENS = {'phone': ((390, 844, True), 5, 0.5), 'wide': ((1920, 1080, False), 3, 1 / 3)}
-#: What the page says of the override while the program runs: a picture takes seconds.
-SLOW = 'feed 5%'
+#: Steps by which the feed is lowered while the program runs: a picture takes seconds.
+SLOWER = 19
 
 
 class Walk:
@@ -153,7 +153,7 @@ class Walk:
 
     def change_tool(self) -> None:
         """Start; the first line asks for tool 1."""
-        while self._tab.text('override') != SLOW:
+        for _ in range(SLOWER):
             self.press('slower')
         self.press('cycle start')
         self._tab.wait(lambda: 'put tool 1' in self._tab.text('why'))

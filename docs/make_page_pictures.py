@@ -64,7 +64,7 @@ RED, WHITE, RADIUS, LOW = (200, 30, 30), (255, 255, 255), 10, 26
 #: The animation: at most so many frames, so far apart in the run and on the page [s].
 FRAMES, STEP, SHOWN_STEP = 60, 0.3, 0.15
 #: A page that has got another size draws everything anew [s].
-SETTLE = 3.0
+SETTLE = 2.0
 #: A picture takes seconds where the browser renders in software: the feed is lowered meanwhile.
 STEPS_DOWN = 12
 COLOURS = 128

@@ -544,7 +544,11 @@ def test_the_path_is_drawn_as_a_tube_around_its_points(panel, part):
     assert len(faces) == FACES * (len(middle) - 1)
     across = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     outward = normals.reshape(-1, 3)[corners.reshape(-1, 3)].sum(axis=1)
-    assert (np.einsum('ij,ij->i', across, outward) > 0.0).all()
+    # In a rounded corner that is smaller than the tube, its inner side folds.
+    straight = np.linalg.norm(np.diff(middle, axis=0), axis=1) > 4.0 * radius[0, 0]
+    assert straight.any()
+    outside = np.einsum('ij,ij->i', across, outward).reshape(-1, FACES) > 0.0
+    assert outside[straight].all()
 
 
 #: Where the triad of the view stands, in the workpiece [m]: the group that holds the label X.

@@ -57,6 +57,7 @@ _NOT_COMPARED = tuple(
             r'(?<![A-Z<_])G[ \t]*0*4[12](?!\d)',
             'LinuxCNC begins a compensated contour at another place',
         ),
+        (r'(?<![A-Z<_])M[ \t]*0*61(?!\d)', "LinuxCNC's rs274 by itself loads no tool by M61"),
         (
             r'#\s*50(?:6\d|70)',
             "LinuxCNC's rs274 lets the probe answer before the end of its line",

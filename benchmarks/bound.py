@@ -24,7 +24,7 @@ from whole_plans import path_of
 
 from cnc_interp.core import MS, FloatArray, InterpError
 from cnc_interp.feedrate.limit_use import limits_at
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine

@@ -16,7 +16,7 @@ import time
 from dense import read
 from whole_plans import path_of
 
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.settings.options import Settings

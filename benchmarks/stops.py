@@ -22,7 +22,7 @@ from paths import cases
 from whole_plans import path_of
 
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate

@@ -23,7 +23,7 @@ from whole_plans import Kept
 from cnc_interp.core import MM, UM
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.feedrate.limit_use import limits_at
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cnc_interp.cam.shapes import BSplineSurface
     from cnc_interp.core import InterpError
     from cnc_interp.feedrate.motion_law import axis_motion
-    from cnc_interp.feedrate.plan_options import PlanOptions
+    from cnc_interp.feedrate.planner_tuning import PlanOptions
     from cnc_interp.feedrate.planning_windows import plan_path
     from cnc_interp.kinematics.axis_path import evaluate
     from cnc_interp.library import Plan, axis_path_from, check, plan_program, smooth_path
@@ -57,7 +57,7 @@ _HOMES = {
     'core': 'InterpError',
     'feedrate.planning_windows': 'plan_path',
     'feedrate.motion_law': 'axis_motion',
-    'feedrate.plan_options': 'PlanOptions',
+    'feedrate.planner_tuning': 'PlanOptions',
     'kinematics.axis_path': 'evaluate',
     'library': 'Plan axis_path_from check plan_program smooth_path',
     'machine.simulated_drives': 'simulate',

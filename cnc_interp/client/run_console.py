@@ -29,7 +29,7 @@ from cnc_interp.client.recorder_process import RecorderProcess
 from cnc_interp.client.run_request import RunRequest, RunResult
 from cnc_interp.core import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
-from cnc_interp.feedrate.plan_options import tool_warnings
+from cnc_interp.feedrate.planner_tuning import tool_warnings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.processes.node_processes import Children
 from cnc_interp.processes.temporary_folder import TemporaryFolder

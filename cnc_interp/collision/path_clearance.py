@@ -25,7 +25,7 @@ from cnc_interp.collision.mesh_file import SceneError
 from cnc_interp.collision.pieces import winding
 from cnc_interp.collision.scene import Placed, Scene
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
-from cnc_interp.core.columns import Table, column
+from cnc_interp.core.tables import Table, column
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.links import TOOL_TIP
 from cnc_interp.machine_model.machine import Machine

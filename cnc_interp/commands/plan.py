@@ -64,7 +64,7 @@ def plan_command(options: argparse.Namespace) -> int:
     """Plan a program without ROS and write the plan files."""
     from cnc_interp import kernel_cache
     from cnc_interp.core.progress_bar import ProgressBar
-    from cnc_interp.feedrate.plan_options import tool_warnings
+    from cnc_interp.feedrate.planner_tuning import tool_warnings
     from cnc_interp.machine_model.transform_port import Transform
     from cnc_interp.program import open_program
     from cnc_interp.program.notices import tell

@@ -29,7 +29,7 @@ from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
 from cnc_interp.feedrate.limit_use import limit_use
 from cnc_interp.feedrate.motion_law import CellLaw, Stretch, settle_widths, spread_law
-from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
+from cnc_interp.feedrate.planner_tuning import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath, PathCells

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core.columns import Table, column
 from cnc_interp.core.kernels import njit
+from cnc_interp.core.tables import Table, column
 from cnc_interp.feedrate.jerk_rows import follow_widths, node_states
 from cnc_interp.kinematics.axis_path import AxisPath, cut, septic_coefficients, septic_jet
 

@@ -30,7 +30,7 @@ from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.grid import with_kinks
 from cnc_interp.feedrate.motion_law import MotionLaw, Stretch
-from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
+from cnc_interp.feedrate.planner_tuning import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import reach, speed_bounds
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath, PathCells, cut, refine

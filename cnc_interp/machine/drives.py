@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray, StreamError
-from cnc_interp.core.columns import Table, column
+from cnc_interp.core.tables import Table, column
 
 
 class DriveFaultError(StreamError):

@@ -15,7 +15,7 @@ from cnc_interp_msgs.msg import MachineState, PathSegment, PathSegmentBatch, Set
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core import MS, FloatArray, Refusal, StreamError
-from cnc_interp.feedrate.plan_options import tool_warnings
+from cnc_interp.feedrate.planner_tuning import tool_warnings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import node_main, parameters

@@ -19,7 +19,7 @@ from cnc_interp.program.readers.cl_data import ClReader
 from cnc_interp.program.readers.gcode import GcodeReader
 from cnc_interp.program.readers.heidenhain import HeidenhainReader
 from cnc_interp.program.readers.program_reader import ProgramReader
-from cnc_interp.program.text import dialect_traits as profiles
+from cnc_interp.program.text import control_traits as profiles
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cnc_interp.core import FloatArray, IntArray, InterpError
-from cnc_interp.core.columns import Column
 from cnc_interp.core.small_files import UnreadableError, read_json
+from cnc_interp.core.tables import Column
 
 Columns = Mapping[str, Any]  #: Columns by their names: arrays, or in a file (``Stored``).
 

@@ -13,7 +13,7 @@ import numpy as np
 from cnc_interp.core import FloatArray
 from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.stop_law import cut_between
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine

@@ -22,7 +22,7 @@ import numpy as np
 
 from cnc_interp.core import InterpError
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cnc_interp import __version__
 from cnc_interp.core import MM, UM, BlockError, BoolArray, FloatArray
-from cnc_interp.feedrate.plan_options import wanted_tool
+from cnc_interp.feedrate.planner_tuning import wanted_tool
 from cnc_interp.feedrate.planning_windows import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from cnc_interp.core import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.feedrate.limit_use import limits_at
-from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
+from cnc_interp.feedrate.planner_tuning import PlanOptions, wanted_tool
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine

@@ -8,7 +8,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, PlanningError
 from cnc_interp.feedrate.limit_use import limits_at
-from cnc_interp.feedrate.plan_options import wanted_tool
+from cnc_interp.feedrate.planner_tuning import wanted_tool
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform_port import Transform

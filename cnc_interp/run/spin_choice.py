@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.core import DEG, BlockError, FloatArray, InterpError
 from cnc_interp.feedrate.limit_use import limits_at
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.chain_kernels import followed

@@ -17,7 +17,7 @@ import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.feedrate.limit_use import limits_at
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_entries import STANDSTILL, BlockPace, Standstill

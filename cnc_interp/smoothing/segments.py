@@ -8,9 +8,9 @@ import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, jet
 from cnc_interp.core.bspline import bezier_jet, corner_spline_jet, quintic_jet
-from cnc_interp.core.columns import Table, column
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.core.kernels import njit
+from cnc_interp.core.tables import Table, column
 from cnc_interp.program.blocks import POSES
 
 LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from tiers import examples, few_of
 
 from cnc_interp.core import PlanningError
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 

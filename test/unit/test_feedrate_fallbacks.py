@@ -17,7 +17,7 @@ from feedrate_paths import (
 from cnc_interp.core import PlanningError
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.interior_point import BROKEN, STALLED
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import (
     CONVERGED,
     DIVIDED,

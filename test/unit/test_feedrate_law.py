@@ -7,7 +7,7 @@ from feedrate_paths import XYZAC, line_path, polyline_path
 
 from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 

@@ -19,7 +19,7 @@ from feedrate_paths import (
 )
 
 from cnc_interp.feedrate.jerk_stage import plan
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 

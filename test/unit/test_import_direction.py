@@ -62,7 +62,7 @@ PROOF_ROOM = 'proof'
 PROOF_MAY_IMPORT = (
     'cnc_interp.collision.scene',
     'cnc_interp.collision.scene_file',
-    'cnc_interp.core.columns',
+    'cnc_interp.core.tables',
     'cnc_interp.core.kernels',
     'cnc_interp.core.small_files',
     'cnc_interp.program.blocks',

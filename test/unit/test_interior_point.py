@@ -11,7 +11,7 @@ from cnc_interp.feedrate.grid import planning_grid
 from cnc_interp.feedrate.interior_point import SOLVED, _blend, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
 from cnc_interp.feedrate.jerk_stage import StretchProblem
-from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
+from cnc_interp.feedrate.planner_tuning import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import guess_speed
 
 

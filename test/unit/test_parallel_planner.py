@@ -12,7 +12,7 @@ import pytest
 from feedrate_paths import XYZAC, polyline_path, random_polyline
 
 from cnc_interp.core import InterpError, PlanningError
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine

@@ -8,7 +8,7 @@ from feedrate_paths import XYZAC, Limits, first_axes, line_path, polyline_path, 
 from tiers import few_of
 
 from cnc_interp.core import FloatArray
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine

@@ -13,7 +13,7 @@ import whole_plans
 from cnc_interp.commands.cli import main
 from cnc_interp.core import MM, UM
 from cnc_interp.drives.tool_error import error_series, path_and_axis_errors, tool_error
-from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.tool_limit import FIRST_PART, RELAXED, ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate

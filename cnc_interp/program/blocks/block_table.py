@@ -8,7 +8,7 @@ from math import nan
 import numpy as np
 
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
-from cnc_interp.core.columns import Table, column
+from cnc_interp.core.tables import Table, column
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
 #: Values of ``Blocks.corner``: whether a stop is faster is tried, or known; or the block is a

@@ -10,7 +10,7 @@ from math import nan
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, ProgramError
-from cnc_interp.core.columns import Table, column
+from cnc_interp.core.tables import Table, column
 from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, Signals
 

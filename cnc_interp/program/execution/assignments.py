@@ -9,7 +9,7 @@ from cnc_interp.program.geometry.contact_normal import NORMAL_WORDS
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.motion.splines import CURVE_WORDS
 from cnc_interp.program.text import code_tables as codes
-from cnc_interp.program.text.dialect_traits import FANUC
+from cnc_interp.program.text.control_traits import FANUC
 from cnc_interp.program.text.expressions import ExpressionError
 from cnc_interp.program.text.words import BlockWords
 

@@ -27,7 +27,7 @@ from cnc_interp.program.execution.word_handlers import (
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.motion import probing
 from cnc_interp.program.text import code_tables as codes
-from cnc_interp.program.text.dialect_traits import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.text.control_traits import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.text.flow import Call
 from cnc_interp.program.text.words import BlockWords
 

@@ -21,7 +21,7 @@ from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.motion.splines import Splines
 from cnc_interp.program.motion.tilted_plane import TiltedPlane
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.text.dialect_traits import LINUXCNC, Dialect
+from cnc_interp.program.text.control_traits import LINUXCNC, Dialect
 from cnc_interp.program.text.expressions import ProgramVariables
 from cnc_interp.program.text.flow import Flow
 from cnc_interp.program.text.source import Source

@@ -14,7 +14,7 @@ from cnc_interp.program.motion.cycles import SiemensCycle
 from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.motion.thread_cycle import cut_thread
 from cnc_interp.program.text import code_tables as codes
-from cnc_interp.program.text.dialect_traits import FANUC, PLAIN, SIEMENS
+from cnc_interp.program.text.control_traits import FANUC, PLAIN, SIEMENS
 from cnc_interp.program.text.words import BlockWords
 
 

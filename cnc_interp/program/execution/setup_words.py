@@ -10,7 +10,7 @@ from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.program.job import ALL_OFFSETS, MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.text import code_tables as codes
-from cnc_interp.program.text.dialect_traits import FANUC, LINUXCNC
+from cnc_interp.program.text.control_traits import FANUC, LINUXCNC
 from cnc_interp.program.text.words import BlockWords
 
 MOST_ANGLE = 3600.0  #: Largest rotation of a work offset [deg].

@@ -8,7 +8,7 @@ from math import nan
 from typing import Any
 
 from cnc_interp.core import INCH, MM
-from cnc_interp.program.text.dialect_traits import FANUC, PLAIN, Dialect
+from cnc_interp.program.text.control_traits import FANUC, PLAIN, Dialect
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from cnc_interp.program.geometry.target_row import COMBINED, EXTRA_LETTERS
 from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal.modal_words import MODES, ModalValues
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.text.dialect_traits import FANUC, HEIDENHAIN, LINUXCNC, PLAIN
+from cnc_interp.program.text.control_traits import FANUC, HEIDENHAIN, LINUXCNC, PLAIN
 from cnc_interp.program.text.flow import Flow
 from cnc_interp.settings.options import Settings
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from cnc_interp.core import DEG, MINUTE, MM
 from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, Tool
 from cnc_interp.program.modal.state import ModalState
-from cnc_interp.program.text.dialect_traits import HEIDENHAIN, LINUXCNC
+from cnc_interp.program.text.control_traits import HEIDENHAIN, LINUXCNC
 
 #: Modal values that Fanuc numbers from #4001 on; and where the machine stands, from #5021 on.
 _GROUPS = {

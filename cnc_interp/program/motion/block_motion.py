@@ -14,7 +14,7 @@ from cnc_interp.program.geometry.contact_normal import ContactPath, ToolShape
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS, NO_ARC
 from cnc_interp.program.modal.state import FARTHEST, ModalState
 from cnc_interp.program.text import code_tables as codes
-from cnc_interp.program.text.dialect_traits import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.text.control_traits import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.text.words import BlockWords
 
 NO_CORNER = Corner('', 0.0)

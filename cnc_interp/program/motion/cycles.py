@@ -16,7 +16,7 @@ from cnc_interp.program.geometry.target_row import AT_M0
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text import code_tables as codes
-from cnc_interp.program.text.dialect_traits import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.text.control_traits import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.text.words import BlockWords
 
 #: Kinds of strokes: a rapid, and those at the feed into the hole and out of it.

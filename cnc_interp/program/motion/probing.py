@@ -17,7 +17,7 @@ from cnc_interp.core import DEG, FloatArray, InterpError
 from cnc_interp.core.small_files import config_directory
 from cnc_interp.machine_model.signals import AWAY, TOWARD, Signals
 from cnc_interp.program.motion.block_motion import Mover
-from cnc_interp.program.text.dialect_traits import FANUC, PLAIN
+from cnc_interp.program.text.control_traits import FANUC, PLAIN
 from cnc_interp.program.text.words import BlockWords
 
 

@@ -12,7 +12,7 @@ from cnc_interp.program.geometry.arcs import PLANES, TOLD, arcs_of
 from cnc_interp.program.modal.state import FARTHEST, LONG_WAY, SLOWEST
 from cnc_interp.program.motion.block_motion import MOST_TURN, Mover
 from cnc_interp.program.text import scan
-from cnc_interp.program.text.dialect_traits import PLAIN
+from cnc_interp.program.text.control_traits import PLAIN
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
 SHORTEST = 6  #: Shorter runs are as fast line by line.

@@ -14,7 +14,7 @@ from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.machine_words import restore
 from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.notices import Refusals
-from cnc_interp.program.text.dialect_traits import LINUXCNC
+from cnc_interp.program.text.control_traits import LINUXCNC
 from cnc_interp.program.text.words import BlockWords
 
 

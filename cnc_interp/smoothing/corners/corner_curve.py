@@ -34,7 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, cross, norm
-from cnc_interp.core.columns import Table, column
+from cnc_interp.core.tables import Table, column
 from cnc_interp.machine_model.machine_traits import AxisRates
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import Curves, connect, poses

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, norm
-from cnc_interp.core.columns import Table, column
+from cnc_interp.core.tables import Table, column
 from cnc_interp.program.blocks import Blocks
 
 TOLERANCES = 'contour_tolerance', 'orientation_tolerance'

@@ -6,7 +6,7 @@ import pytest
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, ProgramStream
-from cnc_interp.program.execution.word_handlers import KEYS, G, M
+from cnc_interp.program.execution.dialect_words import KEYS, G, M
 from cnc_interp.program.modal.modal_words import MODES, SETTINGS
 from cnc_interp.program.reading import MdiReader
 from cnc_interp.program.text.source import Source

@@ -6,6 +6,15 @@ from difflib import get_close_matches
 from cnc_interp.core import DependsOn, ProgramError
 from cnc_interp.program.execution.assignments import assign
 from cnc_interp.program.execution.context import Execution
+from cnc_interp.program.execution.dialect_words import (
+    KEYS,
+    NOT_BESIDE_CONTOUR,
+    OTHER_G,
+    OTHER_M,
+    G,
+    M,
+    Phase,
+)
 from cnc_interp.program.execution.machine_words import (
     choose_tool,
     functions_of,
@@ -15,15 +24,6 @@ from cnc_interp.program.execution.machine_words import (
 from cnc_interp.program.execution.motion_words import move, siemens_cycles
 from cnc_interp.program.execution.setting_words import path_tolerance, refuse_lathe
 from cnc_interp.program.execution.setup_words import tool_length
-from cnc_interp.program.execution.word_handlers import (
-    KEYS,
-    NOT_BESIDE_CONTOUR,
-    OTHER_G,
-    OTHER_M,
-    G,
-    M,
-    Phase,
-)
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.motion import probing
 from cnc_interp.program.text import code_tables as codes

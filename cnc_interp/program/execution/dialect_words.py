@@ -1,4 +1,4 @@
-"""What each word does, and when: a row for each code and each word of several letters."""
+"""What each word does in every dialect, and when: a row for each code and each word of letters."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

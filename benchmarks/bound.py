@@ -30,7 +30,6 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.problems import Problem
-from cnc_interp.run.planning_chain import LONGEST_STEP
 from cnc_interp.run.setpoints import BEFORE, Interpolator, largest_shares
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
@@ -70,7 +69,7 @@ def of_paths() -> None:
 
 def largest_use(path: AxisPath, machine: Machine, period: float) -> float:
     """Plan for a period and return the largest use of a limit by differences of the setpoints."""
-    options = PlanOptions(bound=False, step=min(period, LONGEST_STEP))
+    options = PlanOptions(bound=False)
     piece, interpolator = (
         plan_path(path, limits_at(machine, period), options),
         Interpolator(period),

@@ -24,7 +24,7 @@ from cnc_interp.client.question import Question
 from cnc_interp.client.served_node import ServedNode
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
-from cnc_interp.nodes.seals import OWNERS, Ear
+from cnc_interp.nodes.seals import OWNERS, Ear, Heard
 from cnc_interp.processes.stop_signals import stop_signals
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
@@ -123,7 +123,7 @@ class Recorder:
     def _listen(self, topic: str, kind: Any, profile: QoSProfile) -> Any:
         write = self._writing(topic)
         if topic in OWNERS:  # what other nodes say there is not recorded
-            return Ear(self._node, kind, topic, write, profile).subscription
+            return Ear(self._node, Heard(kind, topic, profile), write).subscription
         return self._node.create_subscription(kind, topic, write, profile, raw=True)
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:

@@ -163,11 +163,9 @@ class CutStock:
             at, found, self._rows, self._count = follow(
                 (self.field, self._left or self.field),
                 self._tools,
-                rows,
-                watched,
+                Pieces(rows, watched, not rapid),
                 route,
                 (self._rows, self._count),
-                not rapid,
                 (at, 0.5 * self.lost),
                 self._clear_from,
             )
@@ -214,15 +212,22 @@ def _meets(rows: FloatArray, spans: Spans) -> BoolArray:
     return np.asarray(begun > np.searchsorted(end, rows[:, BEGIN], 'right'))
 
 
+class Pieces(NamedTuple):
+    """Pieces of motion in order, of one tool."""
+
+    motions: FloatArray
+    #: (n, 2): Whether the mill must not enter the first field; shank and holder, the second.
+    watched: BoolArray
+    cuts: bool
+
+
 @njit(cache=True, nogil=True)
 def follow(
     fields: tuple[Field, Field],
     tools: Tools,
-    motions: FloatArray,
-    watched: BoolArray,
+    pieces: Pieces,
     route: Route,
     past: tuple[FloatArray, int],
-    cuts: bool,
     going: tuple[int, float],
     clear_from: FloatArray,
 ) -> tuple[int, FloatArray, FloatArray, int]:
@@ -232,8 +237,7 @@ def follow(
     ----------
     fields : tuple
         The nominal field, and the one that contains all that is left.
-    watched : ndarray, shape (n, 2)
-        Whether the mill must not enter the first field, and shank and holder not the second one.
+    pieces : Pieces
         What is not clear is divided, its first half first, because cutting may clear the second.
     past : tuple
         The pieces that have cut so far, and their number.
@@ -252,6 +256,7 @@ def follow(
         The pieces that have cut so far, and their number.
 
     """
+    motions, watched, cuts = pieces
     hits, n_hits, (rows, count), (first, step) = np.empty((4, 4)), 0, past, going
     n_u, n_v = fields[0].used.shape
     pitch, window = fields[0].place[2], (0, n_u, 0, n_v)

@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
@@ -57,6 +57,14 @@ class SealedPublisher:
         self._publisher.publish(self._seal.on(bytes(data)))
 
 
+class Heard(NamedTuple):
+    """A topic that is listened to: the kind of its messages, its name, and the profile."""
+
+    kind: Any
+    topic: str
+    profile: QoSProfile
+
+
 class Ear:
     """Hears one topic; ignores, counts and names what has no seal of its one sender.
 
@@ -67,21 +75,22 @@ class Ear:
     def __init__(
         self,
         node: Any,
-        kind: Any,
-        topic: str,
+        heard: Heard,
         take: Callable[[Any], None],
-        profile: QoSProfile,
         diagnostics: Diagnostics | None = None,
         tell: Callable[[str], object] = str,
         spoilt: Callable[[bytes], bool] = lambda data: False,
         read: Callable[[bytes], Any] = bytes,
     ):
         self._tell, self._spoilt, self._read = tell, spoilt, read
-        self._node, self._kind, self._topic, self._take = node, kind, topic, take
-        self._diagnostics, self._place = diagnostics, place_of(node, topic)
+        self._node, self._take, self._diagnostics = node, take, diagnostics
+        self._kind, self._topic, profile = heard
+        self._place = place_of(node, self._topic)
         self._senders: dict[str, KnownSender] = {}
         self.ignored: Counter[str] = Counter()  #: Messages, by who may have sent them.
-        self.subscription = node.create_subscription(kind, topic, self._hear, profile, raw=True)
+        self.subscription = node.create_subscription(
+            self._kind, self._topic, self._hear, profile, raw=True
+        )
 
     def _hear(self, data: bytes) -> None:
         found = opened_seal(self._place, data)
@@ -137,4 +146,4 @@ def hear(
 ) -> Ear:
     """Take the messages of the node whose topic it is."""
     read = partial(deserialize_message, message_type=kind)
-    return Ear(node, kind, topic, take, profile, diagnostics, tell, read=read)
+    return Ear(node, Heard(kind, topic, profile), take, diagnostics, tell, read=read)

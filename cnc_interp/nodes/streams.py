@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.node_main import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
-from cnc_interp.nodes.seals import Ear, SealedPublisher, hear
+from cnc_interp.nodes.seals import Ear, Heard, SealedPublisher, hear
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.seals import SIZE
@@ -109,10 +109,8 @@ class Inlet:
         self._ears = {
             topic: Ear(
                 node,
-                kind,
-                topic,
+                Heard(kind, topic, STREAM),
                 partial(self._receive, kind, topic),
-                STREAM,
                 diagnostics,
                 self._tell_foreign,
                 partial(self._is_spoilt, kind),

@@ -19,11 +19,8 @@ from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
 
-SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
-#: Tool vectors of a curve that differ by less than this share of their coordinates differ by
-#: rounding, and the rotary axes rest. A true turn, however small, would leave them beside the tool
-#: axis, and the next curve would begin with a step.
-SAME_TOOL = 1e-14
+SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less are no turn to follow [m],
+ROUNDING = 1e-14  #: and those that differ less than this share of their coordinates none at all.
 KINK_JERK = 0.02  #: Share of a jerk limit above which a kink, in one period, becomes a stop.
 
 
@@ -44,6 +41,16 @@ def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegme
     rotary = kinds.no_rotary(1)
     rotary[0, :2] = start, end
     return replace(one, rotary=rotary)
+
+
+def _spreads(segments: PathSegments) -> FloatArray:
+    """Return by how much the tool vectors of each curve differ, shape (n,) [m]; 0 for others."""
+    tool, found = segments.top - segments.bottom, np.zeros(len(segments))
+    for curve, points in ((kinds.CORNER, 5), (kinds.SPLINE, 6)):
+        spread = np.ptp(tool[:, :points], axis=1).max(axis=1, initial=0.0)
+        bent = np.abs(segments.connection).max(axis=(1, 2), initial=0.0)
+        found = np.where(segments.kind == curve, np.maximum(spread, bent), found)
+    return found
 
 
 class AxisPathBuilder:
@@ -109,6 +116,10 @@ class AxisPathBuilder:
             segments, motion = released.segments, released.motion
             guides, turn_first = released.guides, released.turn_first
         self.done = segments
+        if n and self.machine.has_rotary:
+            size = np.abs([segments.top, segments.bottom]).max(axis=(0, 2, 3))
+            drifts = (motion == axes.RESTING) & (_spreads(segments) >= ROUNDING * size)
+            motion = np.where(drifts, axes.DRIFTING, motion)
         parts: list[Cells] = []
         first, n = 0, len(segments)
         while first < n:
@@ -145,13 +156,7 @@ class AxisPathBuilder:
         if not self.machine.has_rotary:
             checks.refuse_tilt(self.machine, segments)
             return motion
-        tool = segments.top - segments.bottom
-        same = SAME_TOOL * np.abs([segments.top, segments.bottom]).max(axis=(0, 2, 3), initial=0.0)
-        for curve, points in ((kinds.CORNER, 5), (kinds.SPLINE, 6)):
-            spread = np.ptp(tool[:, :points], axis=1).max(axis=1, initial=0.0)
-            bent = np.abs(segments.connection).max(axis=(1, 2), initial=0.0)
-            turns = (spread >= same) | (bent >= same)
-            motion[(kind == curve) & turns] = axes.FOLLOWING
+        motion[_spreads(segments) >= SAME_TOOL] = axes.FOLLOWING
         angle = norm(segments.rotation)
         turning = (angle > 0.0) & ((kind == kinds.LINE) | (kind == kinds.ROTATION))
         motion[turning] = axes.FOLLOWING
@@ -165,7 +170,7 @@ class AxisPathBuilder:
     def _linear(self, one: PathSegments) -> list[Cells]:
         start, end = one.rotary[0, :2]
         parts = []
-        if np.abs(start - self._rotary).max() > SAME_ANGLE:
+        if np.abs(start - self._rotary).max() > axes.SAME_ANGLE:
             if not self._may_turn_at_once:
                 parts.append(self._turn_first(one, start))
             self._rotary[:] = start
@@ -178,7 +183,7 @@ class AxisPathBuilder:
         gap = turn - target[outer]
         target[outer] += gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
         parts = []
-        if np.abs(target - self._rotary).max() > SAME_ANGLE and not self._may_turn_at_once:
+        if np.abs(target - self._rotary).max() > axes.SAME_ANGLE and not self._may_turn_at_once:
             parts.append(self._turn_first(one, target))
         self._rotary[:] = target
         return parts
@@ -198,7 +203,7 @@ class AxisPathBuilder:
     def _stand_at(self, run: PathSegments) -> list[Cells]:
         start = run.rotary[0, 0]
         gap = start - self._rotary
-        if np.abs(gap).max() <= SAME_ANGLE:
+        if np.abs(gap).max() <= axes.SAME_ANGLE:
             return []
         turns = gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
         if np.abs(turns).max() > checks.OFF_WORDS and not self._may_turn_at_once:

@@ -21,7 +21,11 @@ PLAIN_GRID = np.array([0.0, 0.5, 1.0])
 SLOWEST_TIP = 1e-6  #: A tip slower than this share of the top rests: no measure [-].
 #: How the rotary axes move on a segment: at rest, following the tool axis, or as coordinates of
 #: the path on the basis of the tip. With ALL_AXES, X Y Z are coordinates, too, not the tip.
-RESTING, FOLLOWING, LINEAR, ALL_AXES = 0, 1, 2, 3
+#: DRIFTING axes go smoothly to the tool axis at the end of a curve that turns the tool hardly more
+#: than its rounding: jets of such a turn would be noise, and at rest the next curve would begin
+#: with a step.
+RESTING, FOLLOWING, LINEAR, ALL_AXES, DRIFTING = 0, 1, 2, 3, -1
+SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
 #: Layout of a row of ``guides`` (``pole_passage.py``): parameters between which the outer axis
 #: is a septic of the path length, the branch after it, path length from the start of the septic to
 #: that of the segment, length of the septic [m], and its coefficients from the lowest on.
@@ -169,6 +173,12 @@ def axis_jets(
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
     elif motion == RESTING:
         first, second = jet.constant(stands.q[3]), jet.constant(stands.q[4])
+    elif motion == DRIFTING:
+        _, end = pose_jets(kind, segment.shape, segment.f, 1.0, 1.0)
+        tilt, turn, _ = kernel.rotary_jets(packed, end, stands.branch[0], tilted, turned)
+        goals = (tilt[0], turn[0]) if outer == 1 else (turn[0], tilt[0])
+        first = drift_jet(stands.q[3], goals[0], u)
+        second = drift_jet(stands.q[4], goals[1], u)
     elif motion != FOLLOWING:
         first = beside_jet(kind, beside, 0, u, inside)
         second = beside_jet(kind, beside, 1, u, inside)
@@ -215,6 +225,15 @@ def guide_jet(guide: FloatArray, way: float) -> Jet:
     u = (guide[GUIDE_BEGUN] + way) / length
     value, first, second, third = septic_jet(guide[GUIDE], u, length)
     return (value, first, 0.5 * second, third / 6.0)
+
+
+@njit(cache=True, nogil=True)
+def drift_jet(begin: float, goal: float, u: float) -> Jet:
+    """Return the jet in u of an axis that goes smoothly to a goal, if that is the same angle."""
+    if not abs(goal - begin) <= SAME_ANGLE:
+        goal = begin
+    points = np.array([begin, begin, begin, goal, goal, goal]).reshape(6, 1)
+    return quintic_jet(points, 0, u)
 
 
 @njit(cache=True, nogil=True)

@@ -115,7 +115,8 @@ def nearest(pieces: Pieces, a: int, b: int, pose: FloatArray, out: FloatArray) -
             v1 += weight[i] * d[i, 1]
             v2 += weight[i] * d[i, 2]
         before, square = square, v0 * v0 + v1 * v1 + v2 * v2
-        if square < INSIDE * INSIDE or (step > 0 and square >= before):
+        # Four points that are kept hold 0 up to rounding; a fifth one has no place.
+        if count == 4 or square < INSIDE * INSIDE or (step > 0 and square >= before):
             break
     length = sqrt(square)
     for c in range(3):

@@ -206,7 +206,7 @@ PROGRAMS_OF_SHARE, EXPRESSIONS_OF_SHARE = 200, 1000
 
 
 def counted(judged, share, size):
-    """Return what came of the seeds of a share; a difference is told with its seed."""
+    """Count the outcomes of a share of seeds; name the seed of each difference."""
     counts = Counter()
     for seed, what, told in judged(range(share * size, (share + 1) * size)):
         assert what != linuxcnc_words.DIFFERENT, (seed, told)

@@ -163,7 +163,7 @@ class CutStock:
             at, found, self._rows, self._count = follow(
                 (self.field, self._left or self.field),
                 self._tools,
-                Pieces(rows, watched, not rapid),
+                ToolMotions(rows, watched, not rapid),
                 route,
                 (self._rows, self._count),
                 (at, 0.5 * self.lost),
@@ -212,7 +212,7 @@ def _meets(rows: FloatArray, spans: Spans) -> BoolArray:
     return np.asarray(begun > np.searchsorted(end, rows[:, BEGIN], 'right'))
 
 
-class Pieces(NamedTuple):
+class ToolMotions(NamedTuple):
     """Pieces of motion in order, of one tool."""
 
     motions: FloatArray
@@ -225,7 +225,7 @@ class Pieces(NamedTuple):
 def follow(
     fields: tuple[Field, Field],
     tools: Tools,
-    pieces: Pieces,
+    pieces: ToolMotions,
     route: Route,
     past: tuple[FloatArray, int],
     going: tuple[int, float],
@@ -237,7 +237,7 @@ def follow(
     ----------
     fields : tuple
         The nominal field, and the one that contains all that is left.
-    pieces : Pieces
+    pieces : ToolMotions
         What is not clear is divided, its first half first, because cutting may clear the second.
     past : tuple
         The pieces that have cut so far, and their number.

@@ -18,7 +18,7 @@ from collision_cases import (
 from scipy.spatial.transform import Rotation
 from tiers import examples
 
-from cnc_interp.collision import clearance, shapes
+from cnc_interp.collision import clearance, gjk, shapes
 from cnc_interp.collision.clearance import descend
 from cnc_interp.collision.enclosure import enclose
 from cnc_interp.collision.gjk import nearest
@@ -106,6 +106,21 @@ def test_a_distance_has_a_plane_between_the_pieces_and_points_on_both():
         assert abs(plane - found) < 1e-7 * found + 1e-9
         assert abs(points - found) < 1e-12
     assert apart > 30
+
+
+def test_the_search_for_the_nearest_points_keeps_four_at_most(monkeypatch):
+    """A shank in a block: four points held 0 up to rounding, and a fifth had no place."""
+    cylinder = np.array([[0.0, 0.0, 0.002, 0.002], [0.0, 0.0, 0.02, 0.002]])
+    shank = shapes.Piece(cylinder, np.array([0.0, 0.0, 1.0]))
+    corners = [(x, y, z) for x in (-0.02, 0.02) for y in (-0.02, 0.02) for z in (-0.01, 0.0)]
+    packed = shapes.gathered(
+        [shank, shapes.hull(np.array(corners))], np.full((2, 2), -1), np.arange(2), np.arange(2)
+    )
+    shift = -2.3835064707239395e-05, -0.003049999999999997, -0.001999999796619689
+    pose = np.concatenate([np.eye(3).ravel(), shift])
+    # Python raises an error where compiled code writes beyond the array.
+    monkeypatch.setattr(gjk, 'affine_minimum', gjk.affine_minimum.py_func)
+    assert nearest.py_func(packed, 0, 1, pose, np.empty(9)) < 1e-9, 'the shank is 0.2 nm deep'
 
 
 def test_the_path_lies_in_its_enclosure():

@@ -26,7 +26,7 @@ CNC = [sys.executable, '-m', 'cnc_interp']
 
 
 def serve(panel, folder, touches_off):
-    """Start the page, set the zero by its nodes where they may, end it by Ctrl-C."""
+    """Start the page, set zero and tool by its nodes where they may, end it by Ctrl-C."""
     page = subprocess.Popen(
         [*CNC, *panel],
         cwd=folder,
@@ -45,8 +45,8 @@ def serve(panel, folder, touches_off):
         assert urllib.request.urlopen(address, timeout=PATIENCE).status == 200
         if touches_off:
             domain = re.search(r'ROS domain +(\d+)', said)[1]
-            words = ['touch-off', 'X', '0', 'Y', '0', 'Z', '0', '--domain', domain]
-            subprocess.run([*CNC, *words], check=True)
+            for line in ('touch-off X 0 Y 0 Z 0', 'tools 1 --load'):
+                subprocess.run([*CNC, *line.split(), '--domain', domain], check=True)
         page.send_signal(signal.SIGINT)
         assert page.wait(PATIENCE) == 0
     finally:

@@ -304,7 +304,9 @@ class PlanningSession:
         kept, planner = self._kept, self.planner
         if self._received.turned_away and kept is not None and planner is not None:
             planner.stream.adopt(kept.plan)
-            self.run_id, self.path_end, self.joins_at = kept.run_id, kept.path_end, kept.joins_at
+            self.run_id, self.joins_at = kept.run_id, kept.joins_at
+            # The last segment may have come meanwhile.
+            self.path_end = max(kept.path_end, min(self.path_end, PathEnd.KNOWN))
             self._port.outlet.take_back()
             self.task = None
             self._lead = min(2.0 * self._lead, LONGEST_LEAD)

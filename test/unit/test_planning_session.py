@@ -284,6 +284,20 @@ def test_where_the_machine_has_passed_the_plan_before_goes_on(bench):
     assert session.run_id == RunId('run', plan=2), 'answers to plan 1 may still be on their way'
 
 
+def test_the_end_of_the_path_that_comes_while_a_plan_joins_is_kept(bench):
+    """The plan that goes on must end with it: a machine waited for setpoints at its end."""
+    planner = bench.planning(window=150)
+    session = bench.session
+    session.path_end, session.settings = PathEnd.OPEN, SLOW
+    bench.finish(bench.step())
+    bench.receives = RUN
+    session.end_path()
+    bench.turned_away = True
+    bench.step()
+    assert session.path_end is PathEnd.KNOWN
+    assert planner.stream.current.settings != SLOW
+
+
 def test_a_revision_that_was_not_found_is_tried_again_a_moment_later(bench):
     planner = bench.planning(window=60)
     planner.stream.finds, bench.session.settings = False, SLOW

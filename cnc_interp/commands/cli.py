@@ -15,6 +15,7 @@ from cnc_interp.commands import convert, identify, machine_files
 from cnc_interp.commands.batch import add_batch_commands, add_sweep_command
 from cnc_interp.commands.cam import add_cam_commands
 from cnc_interp.commands.check import add_bag_commands, add_check_commands, add_problems_command
+from cnc_interp.commands.estimate import add_estimate_command
 from cnc_interp.commands.operate import add_operate_commands
 from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser, command, option
 from cnc_interp.commands.plan import add_panel_command, add_plan_command, add_run_command
@@ -108,6 +109,7 @@ def parser() -> argparse.ArgumentParser:
     for add in (
         add_run_command,
         add_plan_command,
+        add_estimate_command,
         add_batch_commands,
         partial(add_sweep_command, main=main),
         convert.add_convert_command,

@@ -40,6 +40,7 @@ CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
 #: How its control goes through short blocks, with the plausible range of each value.
 PACE = {'velocity_jump_mm_per_s': (1e-3, 1e4), 'block_time_ms': (1e-3, 1e3)}
 STOPS = 'stops_at_rapids'
+SCATTER = 'scatter_percent'
 #: Times at which the path rests, with their units.
 STANDSTILL = {
     'tool_change_s': 1.0,
@@ -83,6 +84,7 @@ class BlockPace:
     block_time: float  #: Least time of a block [s].
     jerk: float  #: Jerk between two vertices [m/s3].
     stops_at_rapids: bool = False  #: Whether the tool rests where a rapid begins or ends.
+    scatter: float = 0.0  #: 95 % of recorded times are within this share of the plan; 0: unknown.
 
 
 def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
@@ -90,14 +92,17 @@ def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
     if given is None:
         return None
     demand(
-        isinstance(given, dict) and set(given) - {STOPS} == set(PACE),
-        f'must hold {" and ".join(PACE)}, and may {STOPS}',
+        isinstance(given, dict) and set(given) - {STOPS, SCATTER} == set(PACE),
+        f'must hold {" and ".join(PACE)}, and may {STOPS} and {SCATTER}',
         'look_ahead',
     )
     stops = given.get(STOPS, False)
     demand(isinstance(stops, bool), 'must be true or false', f'look_ahead.{STOPS}')
     jump, time = (number(given[k], f'look_ahead.{k}', *PACE[k]) * 1e-3 for k in PACE)
-    return BlockPace(jump, time, jerk, stops)
+    scatter = 0.0
+    if SCATTER in given:
+        scatter = 0.01 * number(given[SCATTER], f'look_ahead.{SCATTER}', 1e-3, 100.0)
+    return BlockPace(jump, time, jerk, stops, scatter)
 
 
 @dataclass(frozen=True)

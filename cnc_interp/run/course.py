@@ -145,6 +145,24 @@ def to_place(path: AxisPath, s: float) -> AxisPath | None:
     return cut_between(path, float(path.s[0]), s, np.array([s]))
 
 
+def feed_under(
+    path: AxisPath, limits: Limits, feed: FloatArray | float, rapid: FloatArray | float
+) -> FloatArray:
+    """Return the feed of each cell under factors on it, and on the speed of rapids [m/s].
+
+    The factors are numbers, or one for each cell; that of rapids counts up to 1 [-].
+    """
+    found = np.asarray(path.cell_feed * feed)
+    rapids = np.isinf(path.cell_feed)
+    share = np.broadcast_to(rapid, found.shape)[rapids]
+    if (share < 1.0).any():
+        # |q_s| v <= V: the fastest axis runs at a share of its largest velocity.
+        ends = path.cell_left[1, rapids], path.cell_right[1, rapids]
+        use = np.abs(ends).max(axis=0) / limits.max_velocity
+        found[rapids] = np.where(share < 1.0, share / use.max(axis=1), np.inf)
+    return found
+
+
 def slowed(
     path: AxisPath, scaled: Callable[[AxisPath], FloatArray], way_down: PlannedPiece | None
 ) -> AxisPath:

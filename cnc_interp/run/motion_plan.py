@@ -15,7 +15,7 @@ from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine, limits_of
-from cnc_interp.run.course import Course, Leg, finely, slowed
+from cnc_interp.run.course import Course, Leg, feed_under, finely, slowed
 from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.run.stop_tails import NO_SIGNALS, ChunkCutter, FunctionQueue, StopSearch, way_down
@@ -96,19 +96,12 @@ class MotionPlan:
     def _scaled(self, path: AxisPath) -> FloatArray:
         """Return the feed of each cell of a part under the overrides, shape (N - 1,) [m/s]."""
         settings = self.settings
-        feed = path.cell_feed * self._stream.functions.feed_share(
+        share = self._stream.functions.feed_share(
             path.cell_block, settings.override, settings.spindle
         )
-        rapids = np.isinf(path.cell_feed)
         # No line of the program commands the ways by block 0: they follow the feed override, too.
-        ways = np.where(path.cell_block[rapids] == 0, min(1.0, settings.override), 1.0)
-        share = settings.rapid * ways
-        if (share < 1.0).any():
-            # |q_s| v <= V: the fastest axis runs at a share of its largest velocity.
-            ends = path.cell_left[1, rapids], path.cell_right[1, rapids]
-            use = np.abs(ends).max(axis=0) / self._stream.limits.max_velocity
-            feed[rapids] = np.where(share < 1.0, share / use.max(axis=1), np.inf)
-        return feed
+        ways = np.where(path.cell_block == 0, min(1.0, settings.override), 1.0)
+        return feed_under(path, self._stream.limits, share, settings.rapid * ways)
 
     def _open_leg(self, tool: ToolLimit | None = None) -> Leg:
         if not self._legs or self._legs[-1].wait is not None:

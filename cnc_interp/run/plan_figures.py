@@ -17,6 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.overrides import NOMINAL, OverrideStep
+from cnc_interp.run.program_times import ProgramTimes
 from cnc_interp.run.setpoints import BEFORE, Setpoints, largest_shares, torque_shares
 from cnc_interp.run.start_place import StartPlace
 from cnc_interp.settings.options import Settings, values_of
@@ -94,12 +95,14 @@ class PlanFigures:
         self.cut = ''  # where a record ends before the program does
         self.waits_first: bool | None = False  # for the operator (M0); a record does not tell
         self.samples = self._segments = self._blocks = 0
+        self.times = ProgramTimes()
         self._windows = dict.fromkeys(SOLVED_BY, 0)
         self._over_bound = 0.0  # of the windows that have not converged [s]
         self._planned = self._spanned = self._path_length = self._least = 0.0
 
     def blocks(self, blocks: Blocks) -> None:
         self._tolerances.blocks(blocks)
+        self.times.blocks(blocks)
         self._blocks += len(blocks)
 
     def segments(self, segments: PathSegments) -> None:
@@ -121,6 +124,7 @@ class PlanFigures:
 
     def piece(self, piece: PlannedPiece) -> None:
         self._planned = piece.law.end_time
+        self.times.piece(piece)
         self._least += piece.least_time
         self._windows[piece.solved] += 1
         if piece.solved != CONVERGED:
@@ -133,6 +137,8 @@ class PlanFigures:
         self._path_length = float(samples.s[-1])
         self._spanned = float(samples.time[-1])
         self._measure(samples.position)
+        if not self._planned:  # a record
+            self.times.spent(samples.block, np.full(len(samples), self._period))
         if self._tool is not None:
             if self._tool_motion is None:
                 self._tool_motion = self._tool.motion_from(samples.position[0])
@@ -200,6 +206,10 @@ class PlanFigures:
             **({} if self.waits_first is None else {'waits_first': self.waits_first}),
             'functions': self.functions.counts(machine.signals),
             'standstill': float(stands.sum()),
+            'tools': [
+                section.to_json()
+                for section in self.times.sections(self.functions, machine, source)
+            ],
             'samples': self.samples,
             'blocks': self._blocks - 1,
             'segments': self._segments,

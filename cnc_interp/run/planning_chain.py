@@ -1,7 +1,8 @@
 """The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> a sink."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,6 +17,7 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.clearance_stage import ClearanceStage
+from cnc_interp.run.course import feed_under
 from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_writer import PlanWriter
@@ -32,8 +34,11 @@ STAGES = ('smoothing', 'kinematics', 'collision', 'feedrate', 'interpolation')
 class Sink(Protocol):
     segments: Callable[[PathSegments], None]
     piece: Callable[[PlannedPiece], None]
-    setpoints: Callable[[Setpoints], None]
     certificates: Callable[[Any], None]
+
+    @property
+    def setpoints(self) -> Callable[[Setpoints], None] | None:
+        """What takes setpoints; None: motion is not sampled."""
 
 
 class Chain:
@@ -55,7 +60,8 @@ class Chain:
         planning = Planning(limits_at(machine, period), PlanOptions(), tool)
         self._parallel = ParallelPlanner(planning, processes) if processes > 1 else None
         self._planner: ParallelPlanner | FeedPlanner = self._parallel or planning.planner()
-        self._interpolator = Interpolator(period)
+        self._interpolator, self._limits = Interpolator(period), planning.limits
+        self.overrides = 1.0, 1.0  #: Factors on the feed and on the speed of rapids [-].
         self.clearance = ClearanceStage.of(machine, settings, setup)
         self.moved = False
         self.row_planned = 0  # last row of the program that has been planned
@@ -87,7 +93,7 @@ class Chain:
         if self.clearance is not None and self.clearance.refused:
             return
         self._pass_on(self._watch.timed('feedrate', self._planner.finish))
-        if self.moved:
+        if self.moved and self._sink.setpoints is not None:
             self._sink.setpoints(self._interpolator.finish())
 
     def _plan(self, part: PathPart, last: bool = False) -> None:
@@ -103,14 +109,17 @@ class Chain:
             self.moved |= self.clearance.refused
             path = None if self.clearance.refused else path  # only its hits are still of interest
         if path is not None:
+            if self.overrides != (1.0, 1.0):
+                path = replace(path, cell_feed=feed_under(path, self._limits, *self.overrides))
             self._pass_on(self._watch.timed('feedrate', self._planner.push, path))
 
     def _pass_on(self, pieces: list[PlannedPiece]) -> None:
         for piece in pieces:
             self._sink.piece(piece)
-            parts = self._interpolator.parts(piece)
-            while (samples := self._watch.timed('interpolation', next, parts, None)) is not None:
-                self._sink.setpoints(samples)
+            if self._sink.setpoints is not None:
+                parts = self._interpolator.parts(piece)
+                while (found := self._watch.timed('interpolation', next, parts, None)) is not None:
+                    self._sink.setpoints(found)
             self.moved, self.row_planned = True, int(piece.path.cell_block[-1])
 
 
@@ -130,60 +139,76 @@ def plan_to_files(
     or raises InterpError.
     """
     settings = settings or Settings()
-    start, transform, parts = None, Transform.of(machine), iter(stream)
+    start, geometry = None, Transform.of(machine)
     if stream.start.line:
-        start = StartFinder(transform.five_axis, settings.flank_height, stream.start)
-    with ExitStack() as stack:
-        writer = stack.enter_context(PlanWriter(directory, machine, settings))
-        if settings.spin == 'auto' and isinstance(transform, JointChain):
-            with at_fault(stream.source):
-                program = Blocks.concatenate(list(parts))
-                transform, why = with_spin(transform, settings, program)
-            stream.note((int(program.line_number[0]), why))
-            parts = iter([program])
-        chain = Chain(
-            machine,
-            settings,
-            writer,
-            start=start,
-            processes=processes,
-            setup=stream.setup,
-            transform=transform,
-        )
-        stack.callback(chain.close)
-        with at_fault(stream.source), chain.refusals_in_order():
-            rows_read, told = 0, 0.0
-            for part in parts:
-                own = part if start is None else start.blocks(part)
-                writer.blocks(own)
-                if chain.clearance is not None:
-                    functions = stream.functions
-                    if start is not None:
-                        chain.clearance.program(part, functions)
-                        functions = start.functions(functions)
-                    chain.clearance.rows(own, functions)
-                rows_read += len(part)
-                for batch in batches(part):
-                    chain.push(batch)
-                    # Planning takes most of the time, and reading is ahead of it.
-                    told = max(told, stream.share * chain.row_planned / rows_read)
-                    progress(told)
-            chain.finish()
+        start = StartFinder(geometry.five_axis, settings.flank_height, stream.start)
+    with PlanWriter(directory, machine, settings) as writer:
+        with planned(stream, geometry, settings, writer, start, processes, progress) as chain:
             if chain.clearance is not None:
                 chain.clearance.require(stream.source)
                 writer.figures.clearance = chain.clearance.summary()
                 writer.stock(chain.clearance.stock_columns())
                 if save_stock:
                     chain.clearance.save_stock(directory)
-            stream.note(chain.path.notice)
             writer.functions = stream.functions
             writer.figures.waits_first = stream.waits_first
             if start is not None:
                 writer.figures.start = start.found().after(writer.functions, machine.signals)
                 writer.functions = start.functions(writer.functions)
+        return writer.finish(stream.source, chain.seconds, setup=stream.setup)
+
+
+@contextmanager
+def planned(
+    stream: ProgramStream,
+    transform: Transform,
+    settings: Settings,
+    sink: Any,
+    start: StartFinder | None = None,
+    processes: int = 1,
+    progress: Callable[[float], None] = lambda _: None,
+    overrides: tuple[float, float] = (1.0, 1.0),
+) -> Iterator[Chain]:
+    """Plan a program into a sink while it is read, and hand over the chain while it is open."""
+    parts = iter(stream)
+    if settings.spin == 'auto' and isinstance(transform, JointChain):
+        with at_fault(stream.source):
+            program = Blocks.concatenate(list(parts))
+            transform, why = with_spin(transform, settings, program)
+        stream.note((int(program.line_number[0]), why))
+        parts = iter([program])
+    chain = Chain(
+        transform.machine,
+        settings,
+        sink,
+        start=start,
+        processes=processes,
+        setup=stream.setup,
+        transform=transform,
+    )
+    chain.overrides = overrides
+    with closing(chain), at_fault(stream.source), chain.refusals_in_order():
+        rows_read, told = 0, 0.0
+        for part in parts:
+            own = part if start is None else start.blocks(part)
+            sink.blocks(own)
+            if chain.clearance is not None:
+                functions = stream.functions
+                if start is not None:
+                    chain.clearance.program(part, functions)
+                    functions = start.functions(functions)
+                chain.clearance.rows(own, functions)
+            rows_read += len(part)
+            for batch in batches(part):
+                chain.push(batch)
+                # Planning takes most of the time, and reading is ahead of it.
+                told = max(told, stream.share * chain.row_planned / rows_read)
+                progress(told)
+        chain.finish()
+        stream.note(chain.path.notice)
         if not chain.moved:
             raise no_motion(stream.source)
-        return writer.finish(stream.source, chain.seconds, setup=stream.setup)
+        yield chain
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.machine_entries import STANDSTILL, BlockPace, Standstill
+from cnc_interp.machine_model.machine_entries import SCATTER, STANDSTILL, BlockPace, Standstill
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
 from cnc_interp.program.blocks import Blocks
@@ -378,6 +378,10 @@ class TimeFit:
         means = (float(np.mean(rest)) if rest else 0.0 for rest in rests)
         machine = replace(machine, standstill=Standstill(*means))
         assert machine.pace is not None
+        parts = np.arange(0, len(off), CLUSTER)
+        told = np.add.reduceat(off, parts) / np.add.reduceat(self._measured, parts)
+        scatter = SIGMAS * float(np.sqrt(np.mean(told**2)))
+        machine = replace(machine, pace=replace(machine.pace, scatter=scatter))
         values = {
             f'limits.{name}.jerk_m_per_s3': (machine.max_jerk[k], machine.max_jerk[k] * width[k])
             for k, name in enumerate('XYZ')
@@ -386,6 +390,8 @@ class TimeFit:
             values[f'limits.{name}.velocity_m_per_min'] = (60.0 * machine.max_velocity[k], np.nan)
             most = machine.max_acceleration[k]
             values[f'limits.{name}.acceleration_m_per_s2'] = (most, most * width[3])
+        assert machine.pace is not None
+        values[f'look_ahead.{SCATTER}'] = 100.0 * scatter, np.nan
         jump, time = 1e3 * machine.pace.jump, 1e3 * machine.pace.block_time
         values['look_ahead.velocity_jump_mm_per_s'] = (jump, jump * width[4])
         values['look_ahead.block_time_ms'] = (time, time * width[5])

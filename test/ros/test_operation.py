@@ -391,7 +391,8 @@ def test_a_node_lost_while_the_machine_waits_needs_no_cycle_start(bench, node):
     bench.override.publish(Float64(data=1.0))
     bench.until_at(0.02)
     bench.override.publish(Float64(data=0.0))
-    bench.spin_until(lambda: bench.state.waits_for == MachineState.WAITS_FOR_OVERRIDE)
+    # On a busy computer setpoints may run out just then: it rests all the same.
+    bench.spin_until(lambda: bench.state.resting and bench.state.feed_override == 0.0)
     lose(bench, node)
     bench.override.publish(Float64(data=1.0))
     bench.finish(handle)

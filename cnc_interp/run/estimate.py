@@ -1,0 +1,73 @@
+"""The time of a program without plan files: planned like any other, but not sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.program import ProgramStream
+from cnc_interp.run.planning_chain import planned
+from cnc_interp.run.program_times import ProgramTimes, ToolSection
+from cnc_interp.settings.options import Settings
+
+
+class _TimesOnly(ProgramTimes):
+    setpoints = None
+
+    def segments(self, _: Any) -> None:
+        """Take segments, which have no time yet."""
+
+    certificates = segments
+
+
+@dataclass(frozen=True)
+class Estimate:
+    program: str
+    machine: str
+    sections: list[ToolSection]
+    stops: int  #: How often the program waits for the operator; that time is not known.
+    scatter: float  #: That of the fit to recorded runs, as a share of the motion; 0: not known.
+
+    @property
+    def total(self) -> float:
+        """The time of the program without what it waits for the operator [s]."""
+        return sum(one.times.total + one.change for one in self.sections)
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval of 95 % of the total time [s]; 0: not known."""
+        return self.scatter * sum(one.times.cutting + one.times.rapid for one in self.sections)
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            'program': self.program,
+            'machine': self.machine,
+            'total_s': self.total,
+            'half_width_s': self.half_width or None,
+            'stops': self.stops,
+            'tools': [one.to_json() for one in self.sections],
+        }
+
+
+def estimate(
+    stream: ProgramStream,
+    machine: Machine,
+    settings: Settings,
+    processes: int = 1,
+    progress: Callable[[float], None] = lambda _: None,
+    overrides: tuple[float, float] = (1.0, 1.0),
+) -> Estimate:
+    """Return how long a program takes; raises InterpError as planning it does.
+
+    ``overrides``: factors on the feed and on the speed of rapids [-].
+    """
+    times, geometry = _TimesOnly(), Transform.of(machine)
+    with planned(stream, geometry, settings, times, None, processes, progress, overrides):
+        pass
+    name = machine.file or machine.name
+    sections = times.sections(stream.functions, machine, stream.source)
+    scatter = 0.0 if machine.pace is None else machine.pace.scatter
+    return Estimate(stream.source, name, sections, times.stops + stream.waits_first, scatter)

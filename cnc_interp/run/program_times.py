@@ -1,0 +1,161 @@
+"""How long a program takes, by tool and operation: its motion, and what the path rests for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.feedrate.planning_windows import PlannedPiece
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks.functions import Functions
+
+#: A line of a program that is nothing but a comment: the name of an operation.
+_NAME = re.compile(r'\s*(?:N\d+\s*)?(?:\(([^()]*)\)|;(.*)|\$\$(.*)|PPRINT\s*/(.*))\s*', re.I)
+CHANGE, DWELL = 'M6', 'G4'
+
+
+@dataclass(frozen=True)
+class Times:
+    """Parts of the time of a program, or of a section of it [s]."""
+
+    cutting: float = 0.0
+    rapid: float = 0.0
+    dwell: float = 0.0
+    spindle: float = 0.0  #: Until it turns or rests.
+
+    @property
+    def total(self) -> float:
+        return self.cutting + self.rapid + self.dwell + self.spindle
+
+    def to_json(self) -> dict[str, float]:
+        return {'time_s': self.total} | {f'{k}_s': float(v) for k, v in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Operation:
+    line: int  #: Its first line.
+    name: str  #: The comment before it.
+    motion: float  #: [s]
+
+
+@dataclass(frozen=True)
+class ToolSection:
+    """What a program does with a tool, from its change to the next one."""
+
+    line: int  #: Its first line.
+    tool: int  #: 0: the one that was in the spindle.
+    times: Times
+    change: float  #: Time of the change before it [s].
+    operations: tuple[Operation, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        operations = [
+            {'line': one.line, 'name': one.name, 'motion_s': one.motion} for one in self.operations
+        ]
+        told = {'line': self.line, 'tool': self.tool, **self.times.to_json()}
+        return {**told, 'change_s': self.change, 'operations': operations}
+
+
+def operation_names(source: str) -> list[tuple[int, str]]:
+    """Return the lines of a program that are comments, with their texts; none for other files."""
+    try:
+        lines = Path(source).read_text(encoding='utf-8', errors='replace').splitlines()
+    except OSError:
+        return []
+    found = ((number, _NAME.fullmatch(line)) for number, line in enumerate(lines, 1))
+    told = ((number, next(filter(None, one.groups()), '').strip()) for number, one in found if one)
+    return [(number, name) for number, name in told if name]
+
+
+class ProgramTimes:
+    """Gathers the time of each row of a program while it is planned."""
+
+    def __init__(self) -> None:
+        self._lines: list[IntArray] = []
+        self._rapid: list[BoolArray] = []
+        self._parts: list[tuple[int, FloatArray]] = []  # first row, and times of rows from it on
+        self.stops = 0  #: Rows after which the program waits for the operator.
+
+    def blocks(self, blocks: Blocks) -> None:
+        self._lines.append(blocks.line_number)
+        self._rapid.append(blocks.rapid)
+        self.stops += int(np.count_nonzero(blocks.program_stop))
+
+    def piece(self, piece: PlannedPiece) -> None:
+        self.spent(piece.path.cell_block[piece.law.cell], piece.law.duration)
+
+    def spent(self, row: IntArray, time: FloatArray) -> None:
+        """Add times that were spent in rows, both (n,) [s]."""
+        first = int(row.min())
+        self._parts.append((first, np.asarray(np.bincount(row - first, time), dtype=float)))
+
+    def sections(
+        self, functions: Functions, machine: Machine, source: str = ''
+    ) -> list[ToolSection]:
+        """Return the times by tool, in order; ``source``: file with the names of operations."""
+        if not self._lines:
+            return []
+        line, rapid = np.concatenate(self._lines), np.concatenate(self._rapid)
+        motion = np.zeros(len(line))
+        for begin, spent in self._parts:
+            motion[begin : begin + len(spent)] += spent
+        names = list(_operations(line, operation_names(source)))
+        signals = machine.signals
+        first = {words.start: word for word, words in signals.words.items()}
+        words = np.array([first.get(step, '') for step in functions.step.tolist()], dtype=object)
+        rests = functions.standstill(signals, machine.standstill)
+        dwells = np.where(words == DWELL, rests, 0.0)
+        changes = np.flatnonzero(words == CHANGE).tolist()
+        steps = [-1, *changes, len(functions)]
+        rows = [0, *functions.block[changes].tolist(), len(line)]
+        found = []
+        for (at, after), (begin, end) in zip(pairwise(steps), pairwise(rows), strict=True):
+            here, within = slice(begin, end), slice(at + 1, after)
+            fast = float(motion[here][rapid[here]].sum())
+            dwell = float(dwells[within].sum())
+            times = Times(
+                cutting=float(motion[here].sum()) - fast,
+                rapid=fast,
+                dwell=dwell,
+                spindle=float(rests[within].sum()) - dwell,
+            )
+            if at < 0:
+                if times.total > 0.0:
+                    found.append(ToolSection(int(line[0]), 0, times, 0.0, ()))
+                continue
+            inside = [(row, name) for row, name in names if begin <= row < end]
+            operations = tuple(
+                Operation(int(line[row]), name, float(motion[row:to].sum()))
+                for (row, name), (to, _) in pairwise([*inside, (end, '')])
+            )
+            number, change = _tool(functions, machine, at), float(rests[at])
+            begins = int(functions.line_number[at])
+            found.append(ToolSection(begins, number, times, change, operations))
+        return found
+
+
+def _tool(functions: Functions, machine: Machine, change: int) -> int:
+    """Return the number of the tool that a change puts in."""
+    steps = machine.signals.steps
+    last = change + len(machine.signals.words[CHANGE])
+    told = [
+        value
+        for step, value in zip(functions.step[:last], functions.value[:last], strict=True)
+        if steps[step].value == 'T'
+    ]
+    return int(told[-1]) if told else 0
+
+
+def _operations(line: IntArray, names: Sequence[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """Yield the row with which each named operation begins; of several names the last counts."""
+    passed = np.maximum.accumulate(line)  # a line that comes again counts where it came first
+    by_row = {int(np.searchsorted(passed, number)): name for number, name in names}
+    yield from ((row, name) for row, name in by_row.items() if row < len(line))

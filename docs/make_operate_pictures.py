@@ -172,7 +172,7 @@ class Walk:
         self.press('100%')
         self.press('jog')
         self.press('jog tool+')
-        self._tab.wait(lambda: 'leads back' in self._tab.text('why'))
+        self._tab.wait(lambda: 'moved away' in self._tab.text('why'))
         self.state('held')
         self.picture('away', 'why', 'jog tool+', 'start', 'cycle start')
         self.press('close jog')

@@ -29,6 +29,7 @@ from cnc_interp.core.tables import Table, column
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.links import TOOL_TIP
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import TOOL
 from cnc_interp.program.blocks.functions import Functions
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 LEAVES = 1e-7  #: Bodies that are too near move apart by hand if they gain more [m].
 EVERY = 4  #: The least distance is measured at the begin of every so many cells.
 MOST_HITS = 1 << 16  #: Hits of one part of the path that are listed.
-TOOL_OUTPUT = 'tool_number'  #: The output that M6 sets to the number of the tool.
+#: Outputs that M6 sets to the number of the tool: with a tool changer, and by hand.
+TOOL_OUTPUTS = ('tool_number', TOOL)
 
 
 class Certificates(Table):
@@ -104,7 +106,7 @@ class PathClearance:
         """Take the functions of the program so far, which tell from which row on a tool is in."""
         signals = self.machine.signals
         names = [signals.outputs[step.output].name for step in signals.steps]
-        calls = np.flatnonzero([names[step] == TOOL_OUTPUT for step in functions.step])
+        calls = np.flatnonzero([names[step] in TOOL_OUTPUTS for step in functions.step])
         self._tools = functions.block[calls], functions.value[calls].astype(np.int64)
         for line, tool in zip(functions.line_number[calls], self._tools[1], strict=True):
             if tool and tool not in self.scene.tools:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -70,6 +70,17 @@ def read_scene(path: Path, setup: str = '') -> Scene:
     if not scene.bodies:
         raise SceneError(f'{path}: bodies: the scene has no body; add one')
     return scene
+
+
+def require_tool(scene: Scene, number: int, tool: Tool) -> None:
+    """Raise SceneError if a tool of the tool table cannot get bodies in a scene.
+
+    ``scene``: as read without a table, so that its tools are those that it describes itself.
+    """
+    reading = _Reading(scene.source)
+    given = reading.of_table(number, tool.worn, scene.holders)
+    if given and number not in scene.tools:
+        reading.tool(number, given)
 
 
 def _content(path: Path) -> Any:
@@ -147,15 +158,15 @@ class _Reading:
                 raise self.fault(
                     f'tools.{number}', 'the tool number must be a whole number above 0'
                 )
-            bodies += self._tool(number, self._mapping(tool, f'tools.{number}', TOOL))
+            bodies += self.tool(number, self._mapping(tool, f'tools.{number}', TOOL))
         numbers = tuple(tools) or before.tools
         first = whole.get('tool', numbers[0] if len(numbers) == 1 else 0)
         if first and first not in numbers:
             raise self.fault('tool', f'tool {first} has no entry under tools')
         holders = {**before.holders, **self._mapping_of_any(whole, 'holders')}
         for number, tool in sorted(self._setup.tools.items()):
-            if number not in numbers and (given := self._of_table(number, tool.worn, holders)):
-                bodies += self._tool(number, given)
+            if number not in numbers and (given := self.of_table(number, tool.worn, holders)):
+                bodies += self.tool(number, given)
                 numbers += (number,)
         first = self._setup.tool if self._setup.tool in numbers else first
         names += ['cutter', 'shank', 'holder']
@@ -180,14 +191,15 @@ class _Reading:
             part,
         )
 
-    def _of_table(self, number: int, tool: Tool, holders: dict[str, Any]) -> dict[str, Any]:
+    def of_table(self, number: int, tool: Tool, holders: Mapping[str, Any]) -> dict[str, Any]:
         """Return what ``tools`` would hold for a tool of the tool table; nothing without sizes.
 
         Without a flute of its own, all of it below its holder counts as the part that cuts.
         """
         if tool.holder and tool.holder not in holders:
-            text = f'tool {number} of the tool table has the holder {tool.holder!r}'
-            raise self.fault('holders', f'{text}; describe it here')
+            known = f'known: {", ".join(holders)}' if holders else 'the scene describes no holder'
+            text = f'tool {number} of the tool table has the unknown holder {tool.holder!r}'
+            raise self.fault('holders', f'{text}; {known}')
         if min(tool.radius, tool.length) <= 0.0:
             return {}
         where = f'holders.{tool.holder or HOLDER}'
@@ -369,7 +381,7 @@ class _Reading:
         discs[:, :3] = self._placed(discs[:, :3], given, name)
         return Piece(discs, rotation @ piece.along, piece.round)
 
-    def _tool(self, number: int, given: dict[str, Any]) -> list[Body]:
+    def tool(self, number: int, given: dict[str, Any]) -> list[Body]:
         """Return cutter, shank and holder; heights count from the tip, along the tool."""
         where = f'tools.{number}'
         for key in ('diameter_mm', 'flute_mm'):

@@ -81,7 +81,8 @@ class MachineNode(LifecycleNode):
         self._pace = node_main.Pace(self, WORK_PERIOD, self._work)
         self._overrides = Overrides(self, self._playback, self._diagnostics, self._pace.wake)
         told = self._diagnostics, self._give_up, self._pace.wake
-        contact = contact_by_hand(machine, parameters.settings_of(values), drives.outputs)
+        outputs = self._playback.spindle.commanded
+        contact = contact_by_hand(machine, parameters.settings_of(values), outputs)
         self._controls = Controls(self, self._playback, *told, contact)
         given = self._overrides, self._controls.homing, self._diagnostics, self._pace.wake
         self._topics = MachineTopics(self, self._playback, values, *given)

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from cnc_interp_msgs.msg import G1Block, G1BlockBatch, MachineSignals, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, SetpointChunk, SetupTable
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point
 from rclpy.node import Node
@@ -14,7 +14,6 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cnc_interp.collision.drawing import DrawnBody, drawn_bodies
-from cnc_interp.collision.path_clearance import TOOL_OUTPUT
 from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.convert.conversion import with_poses
 from cnc_interp.core import MM
@@ -24,6 +23,7 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import AND, BODIES, every, run_node
 from cnc_interp.nodes.qos import DIAGNOSTICS, LISTENING, LOADED, MARKERS
+from cnc_interp.program.job import JobSetup
 from cnc_interp.run.clearance_stage import setup_text
 from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
@@ -88,9 +88,8 @@ class BodyMarkers:
         self._tool, self._hits = 0, dict[str, tuple[str, ...]]()
         self._changed = True
 
-    def see_tool(self, signals: MachineSignals) -> None:
-        values = dict(zip(signals.outputs, signals.output_values, strict=False))
-        tool = int(values.get(TOOL_OUTPUT, 0))
+    def see_table(self, table: SetupTable) -> None:
+        tool = JobSetup.of_text(table.text).tool
         self._changed |= tool != self._tool
         self._tool = tool
 
@@ -136,8 +135,8 @@ class MarkersNode(Node):
             self._bodies = BodyMarkers(found.scene, found.setup, machine)
             see = partial(self._bodies.see_hits, self.get_namespace())
             self.create_subscription(DiagnosticArray, '/diagnostics', see, DIAGNOSTICS)
-            see_tool = self._bodies.see_tool
-            self.create_subscription(MachineSignals, 'machine_signals', see_tool, LOADED)
+            see_table = self._bodies.see_table
+            self.create_subscription(SetupTable, 'setup_table', see_table, LOADED)
         spacing = values['spacing']
         self._programmed = MarkerLine('programmed', PROGRAMMED, 0.3 * MM, spacing)
         self._executed = MarkerLine('executed', EXECUTED, 0.6 * MM, spacing)

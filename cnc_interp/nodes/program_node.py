@@ -142,7 +142,12 @@ class ProgramNode(Node):
         self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         services = self._table, self._transform, self._peers, self._mdi.coordinates
         self._pace = Pace(self, WORK_PERIOD, self._work)
-        self._setup = SetupServices(self, *services, self._pace.wake)
+        require = None
+        if settings.scene is not None:
+            from cnc_interp.collision.scene_file import read_scene, require_tool
+
+            require = partial(require_tool, read_scene(settings.scene))
+        self._setup = SetupServices(self, *services, self._pace.wake, require)
         self._signals = self._transform.machine.signals
         self._feed = BlockFeed(self._signals)
         self._switch = self.create_client(SwitchOutputs, 'switch_outputs')

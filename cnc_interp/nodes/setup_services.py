@@ -16,7 +16,7 @@ from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import setup_table as tables
 from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
-from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange
+from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange, Tool
 from cnc_interp.wire.run_messages import setup_table
 
 FRESH = 2.0  #: The machine's last word must not be older for a touch-off [s].
@@ -34,8 +34,10 @@ class SetupServices:
         peers: Peers,
         coordinates: Callable[[JobSetup], ProgramCoordinates],
         wake: Callable[[], None],
+        require_tool: Callable[[int, Tool], None] | None = None,
     ):
         self._transform, self._coordinates = transform, coordinates
+        self._require_tool = require_tool  # raises InterpError if the scene cannot hold it
         self._table, self._peers, self._node = table, peers, node
         machine = transform.machine
         own = len(machine.axis_names) - len(machine.extra_names)
@@ -107,8 +109,12 @@ class SetupServices:
 
     def _tool(self, request: SetTool.Request) -> tuple[list[SetupChange], str]:
         given = {name: getattr(request, name, 0.0) for name in request.fields}
-        setup = self._table.setup
-        return tables.tool_changes(setup, request.number, given, request.remove, request.load), ''
+        number, setup = request.number, self._table.setup
+        changes = tables.tool_changes(setup, number, given, request.remove, request.load)
+        for change in changes:
+            if self._require_tool is not None and isinstance(change.value, Tool):
+                self._require_tool(number, change.value)
+        return changes, ''
 
     def _touch_off(self, request: TouchOff.Request) -> tuple[list[SetupChange], str]:
         values = tables.values_by_axis(request.axes, request.values, tuple(self._zero))

@@ -38,7 +38,7 @@ from cnc_interp.proof.verdict import Ledger
 #: what rounding changes in a certificate [m].
 TOUCH, ON_PIECE, ROUNDED = 1.1e-6, 1e-8, 1e-10
 MOST_TOLD = 20  #: Largest number of faults of one kind in a report.
-TOOL_OUTPUT = 'tool_number'
+TOOL_OUTPUTS = ('tool_number', 'tool')  #: With a tool changer, and changed by hand.
 Spans = list[tuple[float, float]]
 
 
@@ -262,7 +262,7 @@ def tools_at(plan: PlanFiles, signals: Signals, first: int, rows: IntArray) -> I
     tool = np.full(len(rows), first)
     columns = (plan.functions[name] for name in ('block', 'step', 'value'))
     for block, step, value in zip(*columns, strict=True):
-        if names[steps[step].output] == TOOL_OUTPUT:
+        if names[steps[step].output] in TOOL_OUTPUTS:
             tool[rows >= block] = int(value)
     return tool
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, StreamError
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError, StreamError
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
@@ -64,29 +64,39 @@ Foresight = Callable[[FloatArray], Callable[[FloatArray], ContactError] | None]
 def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -> Foresight | None:
     """Return what finds contacts ahead of motion by hand; None without a scene.
 
-    ``outputs``: those of the machine, one of which is the number of the tool in the spindle.
+    ``outputs``: what the program sets, one of which is the number of the tool in the spindle.
     """
     clearance = clearance_of(machine, settings, 1)
     if clearance is None:
         return None
-    from cnc_interp.collision.path_clearance import TOOL_OUTPUT
+    from cnc_interp.collision.path_clearance import TOOL_OUTPUTS
 
     names = [signal.name for signal in machine.signals.outputs]
-    place = names.index(TOOL_OUTPUT) if TOOL_OUTPUT in names else -1
+    place = next((k for k, name in enumerate(names) if name in TOOL_OUTPUTS), -1)
 
-    known = 0  # the tool for which the tool table was read
+    known, tool = _changed(settings.setup), 0  # when the tool table was written that was read
 
     def contact(positions: FloatArray) -> Callable[[FloatArray], ContactError] | None:
-        nonlocal clearance, known
-        tool = int(outputs[place]) if place >= 0 else 0
-        if tool != known and settings.setup is not None:
-            known, clearance = tool, clearance_of(machine, settings, 1)
+        nonlocal clearance, known, tool
+        # After a run the table says which tool is in the spindle, if there is one.
+        kept = tool if settings.setup is None else 0
+        tool = int(outputs[place]) if place >= 0 and outputs[place] else kept
+        if known != (written := _changed(settings.setup)):
+            try:
+                known, clearance = written, clearance_of(machine, settings, 1)
+            except InterpError as problem:  # a tool of the table cannot get bodies
+                raise StreamError(str(problem)) from None
         assert clearance is not None
         hit = clearance.contact(positions, tool)
         return None if hit is None else partial(_left, clearance, hit, tool)
 
     contact(np.zeros((2, len(machine.axis_names))))  # its kernels, before anything moves
     return contact
+
+
+def _changed(file: Path | None) -> int:
+    """Return when a file was written [ns]; 0 where there is none."""
+    return file.stat().st_mtime_ns if file is not None and file.exists() else 0
 
 
 def _left(clearance: PathClearance, hit: Hit, tool: int, rest: FloatArray) -> ContactError:

@@ -13,6 +13,7 @@ SCENE = """
 include: xyzac
 bodies:
   - {name: clamp, link: workpiece, box_mm: {low: [50, -20, -20], high: [70, 20, 30]}}
+holders: {slim: [[0, 6], [40, 12]]}
 """
 PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z60 A0 C0\nG1 X{} F3000\nZ10\nX{} Y30\nM30\n'
 #: Colours and places of what is drawn of STL files, by colour: red ones hit each other.
@@ -89,3 +90,20 @@ def test_a_program_that_would_hit_is_refused_and_both_bodies_are_red(panel, tmp_
     assert drawn(tab, CUTTER)[2] == pytest.approx(before, abs=1e-6), 'where the machine is'
     panel.begin(tab)
     panel.until(MachineState.IDLE)
+
+
+def test_a_holder_that_the_scene_does_not_know_is_refused_in_one_sentence(panel):
+    tab = panel.open_in_charge(width=1500, height=900)
+    panel.until(MachineState.IDLE)
+    tab.click_with_mouse('offsets')
+    fields = {'number': '7', 'length': '60', 'radius': '3', 'holder': 'slimm'}
+    for name, text in fields.items():
+        tab.fill(f'new tool {name}', text)
+    tab.click_with_mouse('set new tool')
+    said = "unknown holder 'slimm'; known: slim"
+    tab.wait(lambda: tab.run(f'document.body.textContent.includes(`{said}`)'))
+    assert 7 not in panel.setup.tools
+    tab.fill('new tool holder', 'slim')
+    tab.click_with_mouse('set new tool')
+    panel.spin_until(lambda: 7 in panel.setup.tools)
+    assert panel.setup.tools[7].holder == 'slim'

@@ -95,7 +95,7 @@ def test_jogged_away_twice_it_comes_back_and_the_bag_is_proven(bench, tmp_path):
     state = away(bench, axes=['Z', 'X'], values=[0.03, 0.02], relative=True)
     assert (state.reason, state.program_id) == (MachineState.REASON_AWAY, rest.program_id)
     assert state.path_position == rest.path_position and state.line_number == rest.line_number
-    assert np.array_equal(state.resume_positions, place) and 'leads back' in state.message
+    assert np.array_equal(state.resume_positions, place) and 'to go back' in state.message
     state = away(bench, axes=['C', 'A', 'Y'], values=[1.0, -0.2, 0.05], relative=True)
     assert np.array_equal(state.resume_positions, place)
     assert not np.allclose(state.commanded_positions, place, atol=1e-3)

@@ -111,7 +111,7 @@ def test_a_node_reads_its_scene_before_anything_moves(settings):
 
 def bench_with(settings, position):
     bench = Bench(MACHINE, position)
-    contact = contact_by_hand(MACHINE, settings, bench.play.drives.outputs)
+    contact = contact_by_hand(MACHINE, settings, bench.play.spindle.commanded)
     bench.jog = Jog(bench.play, contact)
     return bench
 
@@ -125,6 +125,36 @@ def jogged(bench, time, **shares):
             told = str(problem)
             bench.now += 0.05
     return told
+
+
+def test_a_tool_that_the_scene_cannot_hold_refuses_motion_by_hand_in_words(settings, tmp_path):
+    table = tmp_path / 'setup.yaml'
+    table.write_text('tools: {2: {length: 40.0, radius: 3.0}}\n')
+    outputs = np.zeros(len(MACHINE.signals.outputs))
+    contact = contact_by_hand(MACHINE, replace(settings, setup=table), outputs)
+    stands = np.tile(start_of(settings), (2, 1))
+    assert contact(stands) is None
+    table.write_text('tools: {2: {length: 40.0, radius: 3.0, holder: fat}}\n')
+    with pytest.raises(StreamError, match="tool 2 .* unknown holder 'fat'"):
+        contact(stands)
+
+
+FAT = '  2: {diameter_mm: 60, flute_mm: 12}\n'
+
+
+def test_motion_by_hand_sees_the_tool_that_the_operator_has_put_in(settings):
+    """On a machine without a tool changer, too: M6 sets no output there."""
+    settings.scene.write_text(f'{SCENE}{FAT}tool: 1\n')
+    bench = Bench(MACHINE, start_of(settings))
+    outputs = bench.play.spindle.commanded
+    contact = contact_by_hand(MACHINE, settings, outputs)
+    # X 30, 20 mm beside the clamp and as high as it is: 17 mm are left to the thin tool.
+    beside = np.tile(start_of(settings) + np.array([30, 0, -20, 0, 0]) * MM, (2, 1))
+    assert contact(beside) is None
+    outputs[[signal.name for signal in MACHINE.signals.outputs].index('tool')] = 2
+    assert contact(beside) is not None
+    outputs[:] = 0.0  # the run has ended
+    assert contact(beside) is not None
 
 
 @pytest.mark.parametrize('share', [0.05, 0.4])

@@ -11,11 +11,12 @@ from collision_cases import distance
 
 from cnc_interp.batch.task import Jobs
 from cnc_interp.collision.drawing import drawn_bodies, rim_points
-from cnc_interp.collision.mesh_file import triangles_of
+from cnc_interp.collision.mesh_file import SceneError, triangles_of
 from cnc_interp.collision.scene import Placed
-from cnc_interp.collision.scene_file import read_scene, scenes_directory
+from cnc_interp.collision.scene_file import read_scene, require_tool, scenes_directory
 from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import Machine, machines_directory
+from cnc_interp.program.job import Tool
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report.clearances import clearance_section, distances
 from cnc_interp.report.series import series_of
@@ -248,9 +249,41 @@ def test_tools_of_the_tool_table_get_bodies(folder, capsys):
     (folder / 'setup.yaml').write_text(TABLE.replace('slim', 'fat'))
     assert plan(folder, *more) == 2
     assert (
-        "tool 2 of the tool table has the holder 'fat'; describe it here"
+        "tool 2 of the tool table has the unknown holder 'fat'; known: default, slim"
         in capsys.readouterr().err
     )
+
+
+def test_a_tool_that_the_operator_puts_in_is_checked_from_its_line_on(folder, capsys):
+    """The machine has no tool changer: M6 only waits there."""
+    tools = 'tools:\n  1: {diameter_mm: 6, flute_mm: 12}\n  2: {diameter_mm: 60, flute_mm: 12}\n'
+    scene(folder, 'bodies:\n' + box('wall', [50, -20, -60], [70, 20, 35]) + tools + 'tool: 1\n')
+    text = PROGRAM.replace('G0 X0', 'T{0} M6 G0 X0').replace('X40', 'X30')
+    more = '--machine', 'xyzac'
+    (folder / 'part.ngc').write_text(text.format(1))
+    assert plan(folder, *more) == 0, capsys.readouterr().err
+    (folder / 'part.ngc').write_text(text.format(2))
+    assert plan(folder, *more) == 2
+    assert 'line 5, cutter and wall' in capsys.readouterr().err
+    (folder / 'part.ngc').write_text(text.format(2).replace('X30', 'X15').replace('X20', 'X10'))
+    assert plan(folder, *more) == 0
+    assert main(['check', str(folder / 'plan')]) == 0, capsys.readouterr().out
+
+
+def test_a_tool_of_the_table_must_fit_the_scene(folder):
+    own = 'tools:\n  4: {diameter_mm: 6, flute_mm: 12}\n'
+    file = scene(folder, 'bodies:\n' + box('wall', [50, -20, -60], [70, 20, 35]) + own + HOLDERS)
+    read = read_scene(file)
+    require_tool(read, 2, Tool(0.04, 0.003, holder='slim'))
+    require_tool(read, 2, Tool(holder='slim'))
+    require_tool(read, 4, Tool(4.0, 0.003))  # the scene describes it itself
+    with pytest.raises(SceneError, match=r"tool 2 .* unknown holder 'fat'; known: default, slim"):
+        require_tool(read, 2, Tool(holder='fat'))
+    with pytest.raises(SceneError, match=r'tools\.2\.'):  # the ball is higher than the tool
+        require_tool(read, 2, Tool(0.002, 0.003, corner_radius=0.003))
+    bare = read_scene(scene(folder, 'bodies:\n' + box('wall', [50, -20, -60], [70, 20, 35])))
+    with pytest.raises(SceneError, match="holder 'slim'; the scene describes no holder"):
+        require_tool(bare, 2, Tool(holder='slim'))
 
 
 def stl(folder, triangles, name='mesh.stl'):

@@ -135,7 +135,7 @@ def test_a_tool_that_the_scene_cannot_hold_refuses_motion_by_hand_in_words(setti
     stands = np.tile(start_of(settings), (2, 1))
     assert contact(stands) is None
     table.write_text('tools: {2: {length: 40.0, radius: 3.0, holder: fat}}\n')
-    with pytest.raises(StreamError, match="tool 2 .* unknown holder 'fat'"):
+    with pytest.raises(StreamError, match=r"tool 2 .* unknown holder 'fat'"):
         contact(stands)
 
 

@@ -64,8 +64,8 @@ class Measured:
     browser: float
 
 
-def family(number: int) -> Iterator[list[str]]:
-    """Yield the words of /proc/PID/stat, from the state on, of a process and its descendants."""
+def family(number: int) -> Iterator[tuple[int, list[str]]]:
+    """Yield a process and its descendants, with the words of /proc/PID/stat after its name."""
     words: dict[int, list[str]] = {}
     children = defaultdict(list)
     for entry in Path('/proc').iterdir():
@@ -81,12 +81,12 @@ def family(number: int) -> Iterator[list[str]]:
         one = waiting.pop()
         waiting += children[one]
         if one in words:
-            yield words[one]
+            yield one, words[one]
 
 
 def cpu(number: int) -> float:
     """Return the CPU time of a process and its descendants, those that have ended too [s]."""
-    return sum(sum(map(int, words[11:15])) for words in family(number)) / TICKS
+    return sum(sum(map(int, words[11:15])) for _, words in family(number)) / TICKS
 
 
 class Stream(NodesUnderTest):

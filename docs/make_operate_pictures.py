@@ -39,7 +39,7 @@ signals:
   functions: {G38.2: [{probe_armed: 1}], G38.4: [{probe_armed: 2}]}
 """
 )
-PART = 'surfaces: [{bore: [15.0, 12.0, 0.0], radius_mm: 8.0}]\n'
+PART = 'surfaces: [{bore: [15.0, 12.0, 50.0], radius_mm: 8.0}]\n'
 #: Width, height and whether it is a phone; columns and scale of the sheet of its pictures.
 SCREENS = {'phone': ((390, 844, True), 5, 0.5), 'wide': ((1920, 1080, False), 3, 1 / 3)}
 #: Steps by which the feed is lowered while the program runs: a picture takes seconds.

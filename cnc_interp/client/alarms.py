@@ -62,6 +62,12 @@ class AlarmList:
         before, now = self._cleared, self.history
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
+    def forget(self, source: str) -> None:
+        """Drop what a source has told, because it tells all of it again."""
+        with self._lock:
+            kept = [alarm for alarm in self._alarms if alarm.source != source]
+            self._alarms = deque(kept, maxlen=KEPT)
+
     def add(self, level: str, source: str, message: str) -> None:
         with self._lock:
             self._add(level, source, message)

@@ -129,7 +129,7 @@ def held_at_interrupt(client: OperatorClient) -> Iterator[None]:
 
 
 def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
-    answer = client.granted(client.move_axes(request))
+    answer = client.granted(client.ask('move_axes', request))
     target, moved, states = np.array(answer.response.positions), False, _states(client)
     while True:
         state = next(states)

@@ -35,6 +35,7 @@ from cnc_interp.nodes.node_main import (
 )
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
+from cnc_interp.run.overrides import OVERRIDES
 
 __all__ = ['STOPS', 'SWITCHES', 'Answer', 'MachineState', 'OperatorClient']
 
@@ -55,8 +56,6 @@ OFFERED_BY = {
     'optional_stop': 'feedrate_node',
     **dict.fromkeys(('set_offset', 'set_tool', 'touch_off'), 'program_node'),
 }
-#: Factors on the programmed feed, on rapids and on the spindle. Each is a topic of that name.
-OVERRIDES = ('feed_override', 'rapid_override', 'spindle_override')
 #: Commands that may arrive twice or late. They are sent again until they are answered.
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
@@ -181,10 +180,6 @@ class OperatorClient(ServedNode):
     def silent(self) -> str:
         return self.silent_for(SILENCE)
 
-    @property
-    def override(self) -> float:
-        return self.override_of('feed_override')
-
     def override_of(self, topic: str) -> float:
         return self._overrides[topic].at(time.monotonic())
 
@@ -230,9 +225,6 @@ class OperatorClient(ServedNode):
 
     def offers(self, *services: str) -> bool:
         return all(self._services[name].service_is_ready() for name in services)
-
-    def move_axes(self, request: MoveAxes.Request) -> Future[Answer]:
-        return self.ask('move_axes', request)
 
     def beat(self, message: Jog) -> None:
         self._executor.create_task(lambda: self._beats.publish(message))

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from cnc_interp_msgs.msg import ProbeContact
 
-from cnc_interp.client.hand_move import connected
 from cnc_interp.client.operator_client import OperatorClient
-from cnc_interp.client.setup_client import SetupClient, work_zero
+from cnc_interp.client.setup_client import SetupClient, connected_setup, work_zero
 from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_entries import GEOMETRY
@@ -190,15 +189,8 @@ def probe_rotary_centres(
     The probe stands upright above the ball, not farther from it than four times ``beside``. Raises
     InterpError if a touch fails, or the touches do not determine the axes.
     """
-    found: list[SetupClient] = []
-
-    def ready(client: OperatorClient) -> bool:
-        if not found:
-            found.append(SetupClient(client, 'cnc-interp'))
-        return found[0].table is not None and not client.silent
-
-    with connected('probe', namespace, domain, ready) as (client, machine):
-        toucher = _Toucher(client, found[0], machine)
+    with connected_setup('probe', namespace, domain) as (client, setup, machine):
+        toucher = _Toucher(client, setup, machine)
         ear = hear(client.node, ProbeContact, 'probe_contact', toucher.hear, CONTACTS)
         until = time.monotonic() + PATIENCE
         while not ear.subscription.get_publisher_count() and time.monotonic() < until:

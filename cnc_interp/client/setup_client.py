@@ -18,6 +18,7 @@ from cnc_interp.client.hand_move import connected
 from cnc_interp.client.length_unit import MILLIMETRES, LengthUnit
 from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
 from cnc_interp.core import FloatArray
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.geometry.frames import rotation
@@ -172,17 +173,25 @@ def work_zero(table: SetupTable, setup: JobSetup, name: str) -> tuple[FloatArray
 
 
 @contextmanager
-def setup_console(namespace: str, domain: int | None) -> Iterator[SetupConsole]:
+def connected_setup(
+    name: str, namespace: str, domain: int | None
+) -> Iterator[tuple[OperatorClient, SetupClient, Machine]]:
     found: list[SetupClient] = []
 
     def ready(client: OperatorClient) -> bool:
         if not found:
             found.append(SetupClient(client, 'cnc-interp'))
         offers = client.offers('set_offset', 'set_tool', 'touch_off')
-        return found[0].table is not None and offers
+        return found[0].table is not None and offers and not client.silent
 
-    with connected('setup', namespace, domain, ready) as (client, _):
-        yield SetupConsole(client, found[0])
+    with connected(name, namespace, domain, ready) as (client, machine):
+        yield client, found[0], machine
+
+
+@contextmanager
+def setup_console(namespace: str, domain: int | None) -> Iterator[SetupConsole]:
+    with connected_setup('setup', namespace, domain) as (client, setup, _):
+        yield SetupConsole(client, setup)
 
 
 class SetupConsole:

@@ -1,5 +1,6 @@
 """Services and topics of the operator: those of the machine node, and ``optional_stop``."""
 
+import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -26,6 +27,8 @@ from cnc_interp.run.clearance_stage import ContactError, Foresight
 from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
+
+TOLD = 10.0  #: A refused or broken off motion by hand is told so long [s].
 
 
 class Controls:
@@ -59,7 +62,7 @@ class Controls:
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
         if not playback.drives.wired:
             node.create_subscription(MachineSignals, 'machine_inputs', self._take_inputs, STATE)
-        diagnostics.say('jog', OK, 'no motion by hand refused')
+        self._told_until = 0.0  # what was refused or broken off is over then [s]
 
     def _contact(self, contact: Foresight, q: FloatArray) -> Any:
         """Find contacts ahead once it is known where the axes are."""
@@ -88,11 +91,15 @@ class Controls:
             silence = self._jog.beat(shares, message.tool, time.monotonic())
             if silence:
                 told = f'the axes stopped: the held key was not heard for {silence:.1f} s'
-                self._diagnostics.say('jog', WARN, f'{told}; the computer or the network is busy')
+                self._warn(f'{told}; the computer or the network is busy')
             else:
                 self._diagnostics.say('jog', OK, 'follows jog')
         except StreamError as problem:
-            self._diagnostics.say('jog', WARN, str(problem))
+            self._warn(str(problem))
+
+    def _warn(self, text: str) -> None:
+        self._told_until = time.monotonic() + TOLD
+        self._diagnostics.say('jog', WARN, text)
 
     def _move(self, request: MoveAxes.Request, response: MoveAxes.Response) -> str:
         self._refuse_beside_homing()
@@ -164,9 +171,13 @@ class Controls:
         except ContactError as problem:
             if self.homing.active:  # again, of axes that were homed
                 self.homing.stop(time.monotonic())
+            self._told_until = math.inf  # the bodies stay near each other
             self._diagnostics.say('jog', WARN, str(problem), **{BODIES: AND.join(problem.bodies)})
         except StreamError as problem:
-            self._diagnostics.say('jog', WARN, str(problem))
+            self._warn(str(problem))
+        if time.monotonic() > self._told_until:
+            self._told_until = math.inf
+            self._diagnostics.say('jog', OK, 'no motion by hand refused')
 
 
 def _pairs(axes: list[str], values: Any) -> dict[str, float]:

@@ -107,7 +107,8 @@ class MachineTopics:
         self._states.publish(message)
 
     def _add_program_positions(self, message: msg.MachineState) -> None:
-        modes = self._modes.get('active_modes' if in_program(message) else 'modal_state')
+        of_program = message.program_id and in_program(message)  # functions alone are no run
+        modes = self._modes.get('active_modes' if of_program else 'modal_state')
         if modes is None or modes.program_id not in ('', message.program_id):
             return
         positions, tip, axis = map(np.array, (message.positions, message.tip, message.axis))

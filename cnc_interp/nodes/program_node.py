@@ -232,7 +232,6 @@ class ProgramNode(Node):
         outcome = run.step(self._peers, now, self._values['peer_timeout'])
         if before is Phase.WAITING and run.phase is Phase.OFFERED:
             self._begin(run)
-            self._mdi.keep(run.preparation.prepared)
             self._loaded.publish(run.loaded())
             program = run.preparation.prepared
             assert program is not None
@@ -376,7 +375,7 @@ class ProgramNode(Node):
         if states := [*run.parts, *([self._state] if self._state is not None else [])]:
             add_executed(result, states)
         succeeded = outcome.code is Code.SUCCEEDED
-        if succeeded and run.rests_throughout:
+        if succeeded:
             self._mdi.keep(run.preparation.prepared)
         level = OK if succeeded else WARN
         self._diagnostics.say('program', level, outcome.message, **{WAITING: ''})

@@ -219,13 +219,8 @@ class Desk:
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
         return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice())))
 
-    async def load_listed(self, name: str) -> Answer:
-        return await self._listed(name, self.load)
-
-    async def queue_listed(self, name: str) -> Answer:
-        return await self._listed(name, self.queue)
-
-    async def _listed(self, name: str, take: Callable[[str, str], Awaitable[Answer]]) -> Answer:
+    async def listed(self, take: Callable[[str, str], Awaitable[Answer]], name: str) -> Answer:
+        """Load or queue a program of the folder."""
         try:
             text = await asyncio.to_thread(self.folder.read, name)
         except InterpError as problem:
@@ -326,6 +321,7 @@ class Desk:
         if plan.hits and job.settings.collision == REFUSE:
             job.refuse('\n'.join(f'{job.name}:{hit.line}: {hit.text}' for hit in plan.hits))
         warnings = warnings_of(plan.notices)
+        self.nodes.alarms.forget(job.name)
         for notice in plan.notices:
             self.nodes.alarms.add('error' if notice in warnings else 'notice', job.name, notice)
 
@@ -426,7 +422,7 @@ class Desk:
     def modes(self) -> tuple[str, ModalState | None]:
         """Return whose modal state counts now: of the block that is executed, or of MDI."""
         state, active = self.nodes.state, self.nodes.active_modes
-        if state is None or not in_program(state):
+        if state is None or not (state.program_id and in_program(state)):
             return 'MDI', self.nodes.modes
         mine = active is not None and active.program_id == state.program_id
         return 'executed', active if mine else None
@@ -440,8 +436,6 @@ class Desk:
         return named[0] if named else self.setup.setup.offset
 
     async def zero(self, letter: str) -> Answer:
-        if self.setup.table is None:
-            return Answer(False, 'the nodes do not answer yet: wait, then press again')
         return await asyncio.wrap_future(self.setup.ask('touch_off', **of_axes({letter: 0.0})))
 
     async def trigger(self, name: str) -> Answer:

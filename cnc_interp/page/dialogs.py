@@ -10,7 +10,13 @@ from typing import Any
 from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer
-from cnc_interp.client.setup_client import SetupClient, of_axes, position_of, whole_tool
+from cnc_interp.client.setup_client import (
+    SetupClient,
+    of_axes,
+    offset_row,
+    position_of,
+    whole_tool,
+)
 from cnc_interp.core import SettingsError
 from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.readings import ShownUnit
@@ -194,8 +200,8 @@ class SetupDialog:
     def _title(self, text: str) -> None:
         ui.label(self._unit.now.named(text)).classes('title')
 
-    def field(self, mark: str, text: str, value: float | None = None) -> None:
-        field = ui.input(value=text).props(f'dense data-mark="{mark}"')
+    def field(self, mark: str, text: str, value: float | None = None, counts: str = '') -> None:
+        field = ui.input(value=text, placeholder=counts).props(f'dense data-mark="{mark}"')
         self._fields[mark] = field
         if value is not None:
             self._known[mark] = text, value
@@ -206,14 +212,15 @@ class SetupDialog:
 
     def _offset_row(self, name: str, axes: list[str]) -> None:
         setup = self._setup.setup
-        position = position_of(setup, name)
+        position, counts = position_of(setup, name), offset_row(self._setup.table, setup, name)
         active = name == setup.offset or (name == 'G92' and setup.g92_on)
         ui.label(f'{name} ●' if active else name).classes('value')
         letters = axes if name == 'G92' else [*axes, ROTATION]
         for letter in letters:
             value = position.get(letter)
             text = '' if value is None else self._unit.now.shown(letter, value)
-            self.field(f'{name} {letter}', text, value)
+            usual = self._unit.now.shown(letter, counts[letter])
+            self.field(f'{name} {letter}', text, value, usual)
         if name == 'G92':
             ui.label('')
         self.reading_key('set', f'set {name}', partial(self._set_offset, name, letters))

@@ -194,7 +194,7 @@ class JogPad:
     async def _move(self, name: str, sign: int) -> None:
         if self._step != HOLD:
             step = step_of(name, sign * self._size(name, self._step), self._share(name))
-            await self._command(asked(self._nodes.move_axes, step))
+            await self._command(asked(self._nodes.ask, 'move_axes', step))
 
     def _beat(self, event: events.GenericEventArguments) -> None:
         """Pass a beat on, unless it is old or this page does not command; a stop is never old."""
@@ -312,7 +312,7 @@ class PoseField(NumberFields):
 
     async def _go(self, values: dict[str, float]) -> None:
         request = pose_request(values, self._speed(), self._unit.now.size)
-        await self._command(asked(self._nodes.move_axes, request))
+        await self._command(asked(self._nodes.ask, 'move_axes', request))
 
 
 class TouchOffField(NumberFields):

@@ -26,6 +26,8 @@ window.listing = {
     if (!box) return;
     this.picked = 0;
     box.onscroll = () => this.draw();
+    this.fitted ??= new ResizeObserver(() => this.go()); // a turned tablet loses the place
+    this.fitted.observe(box);
     box.onclick = (event) => this.pick(event.target.closest('li'));
     for (const kind of ['wheel', 'pointerdown', 'keydown']) box.addEventListener(kind, () => this.let_go());
     box.scrollTop = 0;

@@ -399,8 +399,9 @@ class Page:
         """Return what the operator must know about the start; empty for the top of a program."""
         way, desk = self._desk.way_ahead(), self._desk
         self._view.show_way(way)
-        if self._changed('laid', desk.laid):
-            self._start.fill()
+        start = desk.start.line, desk.start.which
+        if self._changed('laid', (desk.laid, *start)):
+            self._start.fill(*start)
         if (tool := desk.nodes.tool_wanted) is not None:
             return change_text(tool, desk.setup.setup, self._unit.now)
         if in_program(desk.nodes.state):

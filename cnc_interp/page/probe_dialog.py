@@ -111,8 +111,8 @@ class ProbeDialog:
             texts = found.texts(self._setup.setup, self._unit.now) or ['nothing changes']
             for text in texts:
                 ui.label(text).props('data-mark="found"')
-            for notice in result.notices:
-                ui.label(notice).classes('small')
+            for notice in result.notices:  # of a line of the cycle
+                ui.label(notice.split(': ', 1)[-1]).classes('small')
             with ui.element('div').classes('ends'):
                 key('leave as it is', 'leave found', self._dialog.close, 'primary')
                 take = partial(self._command, partial(self._take, found))

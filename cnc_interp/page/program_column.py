@@ -54,16 +54,16 @@ class StartField:
             here, top = self.keys = key('start here'), key('from the top')
             act_on_shown(here, 'click', (self._line, self._pass), self._take)
             top.on('click', lambda: self._give(0, 0))
-        ui.on('pick_line', lambda event: self.fill(str(event.args['line'])))
+        ui.on('pick_line', lambda event: self.fill(int(event.args['line'])))
 
     @staticmethod
     def _field(text: str, mark: str) -> Any:
         field = ui.input(placeholder=text)
         return field.props(f'dense outlined inputmode=numeric autocomplete=off data-mark="{mark}"')
 
-    def fill(self, line: str = '') -> None:
-        self._line.set_value(line)
-        self._pass.set_value('')
+    def fill(self, line: int = 0, which: int = 0) -> None:
+        self._line.set_value(str(line or ''))
+        self._pass.set_value(str(which or ''))
 
     async def _take(self) -> None:
         texts = [str(field.value or '').strip() for field in (self._line, self._pass)]

@@ -44,12 +44,12 @@ class FolderDialog:
         with ui.element('div').classes('file'):
             ui.label(name)
             ui.label(told).classes('small')
-            key('load', f'load {mark}', partial(self._do, self._desk.load_listed, name))
-            key('queue', f'queue {mark}', partial(self._do, self._desk.queue_listed, name))
+            key('load', f'load {mark}', partial(self._do, self._desk.load, name))
+            key('queue', f'queue {mark}', partial(self._do, self._desk.queue, name))
 
-    async def _do(self, act: Callable[[str], Awaitable[Answer]], name: str) -> None:
+    async def _do(self, take: Callable[[str, str], Awaitable[Answer]], name: str) -> None:
         self._dialog.close()
-        await self._command(partial(act, name))
+        await self._command(partial(self._desk.listed, take, name))
 
 
 class EditorDialog:

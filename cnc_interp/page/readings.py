@@ -32,12 +32,12 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
         return words
     words |= axis_words(state, machine, unit) | work_words(state, machine, desk.setup.setup, unit)
     words |= feed_words(desk, state, unit)
-    job = desk.job
+    job, override = desk.job, desk.nodes.override_of('feed_override')
     if job is not None and not desk.shows_run(state):
-        words |= words_before_start(job.plan, desk.nodes.override)
+        words |= words_before_start(job.plan, override)
     else:
         plan, start = desk.plan_of(state), desk.start_position()
-        words |= progress_words(state, plan, desk.nodes.override, start, unit)
+        words |= progress_words(state, plan, override, start, unit)
     words['state'] = 'no answer' if silent else state_of(state).value
     words['why'] = f'{silent} does not answer' if silent else why_text(desk, state, unit)
     words['buffer'] = f'{state.buffered_time / MS:.0f} ms'

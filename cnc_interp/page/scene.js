@@ -1,5 +1,11 @@
 // For scene.py: the executed part of the path in a colour of its own, and what is seen through the machine.
 window.scene = {
+  // The view has the room that the jog keys leave.
+  fit(scene) {
+    const view = getElement(scene);
+    view.fitted ??= new ResizeObserver(() => view.resize());
+    view.fitted.observe(view.$el);
+  },
   async show_through(scene, names) {
     const objects = getElement(scene).objects;
     for (const object of names.map((name) => objects.get(name))) {

@@ -215,6 +215,7 @@ class MachineView:
         self.look_at_part(self._of_part)
 
     def _draw_path(self) -> None:
+        ui.run_javascript(f'scene.fit({self._scene.id})')
         if self._path is None:
             return
         corners = 3 * FACES * self._done

@@ -253,6 +253,10 @@ def test_two_programs_get_the_same_notice_each():
     alarms.add('notice', 'one.ngc', 'M8: no effect')
     alarms.add('notice', 'two.ngc', 'M8: no effect')
     assert [a.source for a in alarms.history] == ['two.ngc', 'one.ngc']
+    # A program that is planned again, with another zero, tells its notices anew.
+    alarms.forget('one.ngc')
+    alarms.add('notice', 'one.ngc', 'M8: no effect')
+    assert [(a.source, a.count) for a in alarms.history] == [('one.ngc', 1), ('two.ngc', 1)]
 
 
 def test_alarms_are_added_and_cleared_by_several_threads():

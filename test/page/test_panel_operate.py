@@ -447,7 +447,7 @@ def test_the_choice_of_a_line_is_forgotten_with_its_program(panel, part):
     choose(panel, tab, 9, 0, 'starts at line 9;')
     panel.press_key(tab, 'cycle start', lambda: 'plunge' in tab.text('start'))
     panel.reset(tab)
-    tab.wait(lambda: tab.text('start') == '')
+    tab.wait(lambda: tab.text('start') == '' and tab.value('start line') == '')
     panel.begin(tab)
     assert panel.loaded[-1].start_line == 0
 

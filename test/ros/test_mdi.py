@@ -181,13 +181,16 @@ def test_hold_goes_on_and_cancel_leaves_the_path(bench):
     assert result.code == Result.SUCCEEDED
     assert stands(bench) - before == pytest.approx([-0.04, 0, 0, 0, 0], abs=1e-12)
     prove(bench, result, before)
-    handle = bench.start(text='X40', mdi=True)
+    modes = kept_modes(bench)
+    handle = bench.start(text='G61 F1900 X40', mdi=True)
     until_on_the_way(bench)
     bench.spin_until(handle.cancel_goal_async().done)
     assert bench.result_of(handle).code == Result.CANCELED
     at = stands(bench)
     assert before[0] - 0.035 < at[0] < before[0] - 0.001
     assert at[1:] == pytest.approx(before[1:], abs=1e-12)
+    # A probing cycle that missed left G91, and the next G0 X15 was a distance.
+    assert kept_modes(bench) == modes
     assert done(bench, 'X1') == pytest.approx([0.001, 0, 0, 0, 0], abs=1e-12)
     done(bench, 'M30')
 

@@ -29,7 +29,7 @@ fingerprints() (
       base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
       project) set -- setup.py setup.cfg ;;
       messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
-      test | docs | panel | step | batch | tiles | warp) set -- "requirements/$part.txt" ;;
+      test | docs | panel | step | batch | tiles | warp | mtconnect) set -- "requirements/$part.txt" ;;
     esac
     sum=$(sha256sum "$@" | sha256sum)
     printf '%s %s\n' "$part" "${sum%% *}"
@@ -105,7 +105,7 @@ main() {
   case ${1-} in
     test)
       shift
-      parts+=(test panel step batch tiles)
+      parts+=(test panel step batch tiles mtconnect)
       case " $* " in *' --all '*) parts+=(docs warp) ;; *' --share '*) parts+=(docs) ;; esac
       ensure "${parts[@]}"
       cd "$root"
@@ -141,7 +141,7 @@ main() {
       [ "$*" != run ] || set -- run "$root/examples/pyramid.ngc"
       [ "$*" != panel ] || set -- panel "$root/examples/pyramid.ngc"
       case " $* " in ' panel '* | *' --panel '*) parts+=(panel) ;; esac
-      case $1 in batch | cluster) parts+=(batch) ;; esac
+      case $1 in batch | cluster) parts+=(batch) ;; mtconnect) parts+=(mtconnect) ;; esac
       case " $* " in ' cam '*' --tiles'*) parts+=(tiles) ;; esac
       case " $* " in ' cam '*' --scheduler'*) parts+=(batch) ;; esac
       case " $* " in ' cam '*' --device'*warp* | ' cam '*' --device'*cuda*) parts+=(warp) ;; esac

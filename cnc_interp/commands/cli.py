@@ -18,7 +18,12 @@ from cnc_interp.commands.check import add_bag_commands, add_check_commands, add_
 from cnc_interp.commands.estimate import add_estimate_command
 from cnc_interp.commands.operate import add_operate_commands
 from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser, command, option
-from cnc_interp.commands.plan import add_panel_command, add_plan_command, add_run_command
+from cnc_interp.commands.plan import (
+    add_mtconnect_command,
+    add_panel_command,
+    add_plan_command,
+    add_run_command,
+)
 from cnc_interp.core import InterpError
 
 
@@ -115,6 +120,7 @@ def parser() -> argparse.ArgumentParser:
         convert.add_convert_command,
         add_check_commands,
         add_panel_command,
+        add_mtconnect_command,
         add_operate_commands,
         machine_files.add_machine_commands,
         add_bag_commands,

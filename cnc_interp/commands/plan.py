@@ -252,6 +252,32 @@ def add_panel_command(commands: Any) -> None:
     )
 
 
+def add_mtconnect_command(commands: Any) -> None:
+    parser.command(
+        commands,
+        mtconnect_command,
+        'mtconnect --port 5000 (beside run or panel; shows http://127.0.0.1:5000/probe)',
+        option('--host', 'address of the agent (127.0.0.1)', default='127.0.0.1'),
+        option('--port', 'its port, 0 for any free one (5000)', int, default=5000),
+        *parser.nodes_options(),
+    )
+
+
+def mtconnect_command(options: argparse.Namespace) -> int:
+    """Serve what the machine does to MTConnect clients; it only reads, and moves nothing."""
+    import importlib.util
+
+    if importlib.util.find_spec('lxml') is None:
+        raise InterpError(
+            'the MTConnect agent needs lxml: start it with ./cnc, which installs it, or '
+            'pip install -r requirements/mtconnect.txt'
+        )
+    from cnc_interp.mtconnect.command import run_agent
+
+    run_agent(options)
+    return parser.FINE
+
+
 def run_command(options: argparse.Namespace) -> int:
     """Stream a program through the ROS 2 nodes to the machine."""
     from cnc_interp.processes.node_processes import load_nodes, process_start

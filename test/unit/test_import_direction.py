@@ -40,6 +40,7 @@ FLOW = (
     'nodes',
     'client',
     'page',
+    'mtconnect',
     'commands',
     '__main__',
 )
@@ -80,7 +81,7 @@ PROOF_MAY_IMPORT = (
 VECTORS = {'dot', 'cross', 'norm', 'unit', 'scaled'}
 
 #: ROS is spoken here; messages, which are plain data, in ``wire`` too.
-ROS_ROOMS, MESSAGE_ROOM = ('nodes', 'client', 'page'), 'wire'
+ROS_ROOMS, MESSAGE_ROOM = ('nodes', 'client', 'page', 'mtconnect'), 'wire'
 # ament_index_python only finds installed files: any room may ask it.
 ROS_MODULES = ('rclpy', 'rosbags', 'rcl_interfaces', 'std_srvs')
 
@@ -93,6 +94,7 @@ WITHOUT_KEY = {
     'dask',
     'distributed',
     'fastapi',
+    'lxml',
     'mcap',
     'nicegui',
     'plotly',

@@ -1,0 +1,1 @@
+"""What the machine does, for the shop: an MTConnect agent that only reads."""

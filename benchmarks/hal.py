@@ -29,7 +29,7 @@ from hal_session import AXES, FOLDER, UNITS, Session, why_not
 
 from cnc_interp.client.run_request import RunRequest, RunResult
 from cnc_interp.client.session import run_session
-from cnc_interp.machine.hal_file import pins_of
+from cnc_interp.machine.hal_pins import pins_of
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.machine_model.signals import signals
 

@@ -28,7 +28,7 @@ from cnc_interp.machine.hal_drives import (
     HalStream,
     shared_memories,
 )
-from cnc_interp.machine.hal_file import NO_SIGNALS, columns_of, gate_lines, gates, pins_of
+from cnc_interp.machine.hal_pins import NO_SIGNALS, columns_of, gate_lines, gates, pins_of
 from cnc_interp.machine_model.signals import Signals
 
 FOLDER = Path(__file__).resolve().parents[1] / 'config' / 'hal'

@@ -8,8 +8,6 @@ from typing import Any
 from cnc_interp.commands.parser import FINE, command, flag, option, write
 from cnc_interp.core import InterpError
 
-HAL_LIBRARY = Path('/usr/share/linuxcnc/hallib')  #: HAL files of LinuxCNC itself.
-
 
 def add_machine_commands(commands: Any) -> None:
     command(
@@ -30,19 +28,25 @@ def add_machine_commands(commands: Any) -> None:
     command(
         commands,
         hal_command,
-        'hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal',
+        'hal my_machine.yaml my_machine.ini --out my_machine.hal',
         option('machine', 'bundled machine or YAML file', metavar='M'),
         option(
             'files',
-            'HAL files of the LinuxCNC configuration, in the order of its INI file',
+            'INI file of the LinuxCNC configuration, or its HAL files in their order',
             Path,
             'FILE',
             nargs='+',
         ),
         option(
             '--joints',
-            'letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)',
+            'letter of the axis of joint 0, 1, 2 ... (XYYZ ...; default: as in the INI file, or '
+            'as in the machine file)',
             metavar='LETTERS',
+        ),
+        option(
+            '--units',
+            'unit of lengths in the HAL files (default: as in the INI file, or mm)',
+            choices=('mm', 'inch'),
         ),
         option('--out', 'file to write (default: print it)', Path, 'FILE'),
     )
@@ -82,34 +86,30 @@ def urdf_command(options: Namespace) -> int:
 
 def hal_command(options: Namespace) -> int:
     """Write a HAL file with cnc_interp in the place of the motion controller of LinuxCNC."""
-    from cnc_interp.machine.hal_file import hal_file
+    from cnc_interp.convert.linuxcnc_files import hal_lines, read_ini
+    from cnc_interp.convert.linuxcnc_hal import hal_file
+    from cnc_interp.convert.linuxcnc_wiring import wiring_of
     from cnc_interp.machine_model.machine import Machine
 
-    machine = Machine.load(options.machine)
-    axes = machine.axis_names
-    text = '\n'.join(_hal_file(file).read_text('utf-8', 'replace') for file in options.files)
-    joints = (options.joints or ''.join(axes)).upper()
-    made, left_out = hal_file(text, axes, joints, machine.signals)
+    machine, files = Machine.load(options.machine), options.files
+    ini = next((read_ini(file) for file in files if file.suffix == '.ini'), None)
+    wiring, told = wiring_of(machine, ini, options.joints, options.units)
+    made, left_out = hal_file(
+        '\n'.join(hal_lines(files, ini)), machine.axis_names, wiring, machine.signals
+    )
     write(made, options.out)
-    for line in left_out:
-        print(f'not connected: {line}', file=sys.stderr)
+    for line in (*told, *(f'not connected: {line}' for line in left_out)):
+        print(line, file=sys.stderr)
     return FINE
-
-
-def _hal_file(file: Path) -> Path:
-    """Return where LinuxCNC finds it: here, or among its own files."""
-    if file.suffix == '.tcl':
-        raise InterpError(f'{file}: is Tcl, which is not read; give HAL files that do the same')
-    own = HAL_LIBRARY / file.name.removeprefix('LIB:')
-    return own if own.is_file() and not file.exists() else file
 
 
 def import_ini_command(options: Namespace) -> int:
     """Write a machine file from the INI file of a LinuxCNC machine."""
     from cnc_interp.convert.linuxcnc_ini import machine_from_ini
 
-    text, notes = machine_from_ini(options.file)
+    text, assumed, ignored = machine_from_ini(options.file)
     write(text, options.out)
-    for note in notes:
-        print(f'assumed: {note}', file=sys.stderr)
+    lines = [f'assumed: {line}' for line in assumed] + [f'ignored: {line}' for line in ignored]
+    for line in lines:
+        print(line, file=sys.stderr)
     return FINE

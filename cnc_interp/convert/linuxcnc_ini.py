@@ -2,189 +2,289 @@
 
 import re
 from collections.abc import Mapping
-from math import isfinite
+from dataclasses import dataclass, field
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from cnc_interp.core import DEG, INCH, M_PER_MIN, MM, REV, REV_PER_MIN, MachineError
+from cnc_interp.convert.linuxcnc_files import Ini, number, read_ini
+from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, MachineError
 from cnc_interp.machine_model.demands import demand
 from cnc_interp.machine_model.machine import from_mapping
 
 JERK = 10.0  #: Jerk where the INI has none, over the acceleration [1/s].
-#: Names of units in ``[TRAJ]`` [m, rad].
-UNITS = {
-    'mm': MM,
-    'metric': MM,
-    'inch': INCH,
-    'in': INCH,
-    'imperial': INCH,
-    'deg': DEG,
-    'degree': DEG,
-    'rad': 1.0,
-    'radian': 1.0,
-    'grad': 0.9 * DEG,
-    'gon': 0.9 * DEG,
-}
 #: Kinematics that are known: rotary axes, the first one carries the second one.
 KINEMATICS = {'trivkins': '', 'xyzac-trt-kins': 'AC', 'xyzbc-trt-kins': 'BC'}
+#: Rotary axes of a machine without a transformation; the first one carries the second one.
+ROTARY = ('', 'A', 'B', 'C', 'AB', 'AC', 'BC')
+EXTRA = {'U': 'X', 'V': 'Y', 'W': 'Z'}  #: Extra axes, and along which axes they run.
+LARGEST_ERROR = 100.0  #: A larger limit of the following error stops no axis [mm, deg].
 ABOUT = {'A': [1, 0, 0], 'B': [0, 1, 0], 'C': [0, 0, 1]}
-Sections = dict[str, list[tuple[str, str]]]
+#: Keys of ``[AXIS_L]`` and ``[JOINT_N]`` that change nothing here, and why.
+OF_AXES = {
+    'BACKLASH': 'play is not compensated',
+    'COMP_FILE': 'errors of the screw are not compensated',
+    'MIN_FERROR': 'the limit of the following error does not depend on the velocity',
+    'HOME': 'an axis stays where it has found its switch',
+    'HOME_FINAL_VEL': 'an axis stays where it has found its switch',
+    'HOME_LATCH_VEL': 'an axis leaves its switch with 1 % of its velocity',
+    'HOME_ABSOLUTE_ENCODER': 'absolute encoders are not read',
+    'HOME_IS_SHARED': 'each axis needs a switch of its own',
+    'LOCKING_INDEXER': 'an axis is not unlocked before it turns',
+    'WRAPPED_ROTARY': 'a rotary axis turns to the angle that is programmed',
+    'VOLATILE_HOME': 'an axis keeps its place without power',
+    'OFFSET_AV_RATIO': 'there are no external offsets',
+}
+#: The same of other sections.
+ELSEWHERE = {
+    ('EMCIO', 'TOOL_CHANGE_POSITION'): 'move there in the program, or in a macro before M6',
+    ('EMCIO', 'TOOL_CHANGE_QUILL_UP'): 'move Z up in the program, or in a macro before M6',
+    ('EMCIO', 'TOOL_CHANGE_AT_G30'): 'write G30 before M6',
+    ('EMCIO', 'TOOL_CHANGE_WITH_SPINDLE_ON'): 'M6 stops the spindle (signals)',
+    ('EMCIO', 'RANDOM_TOOLCHANGER'): 'tools have fixed pockets',
+    ('RS274NGC', 'REMAP'): 'words are not remapped; write functions of signals',
+    ('RS274NGC', 'RS274NGC_STARTUP_CODE'): 'write its words into the program',
+    ('RS274NGC', 'USER_M_PATH'): 'M100 to M199 call no programs; write functions of signals',
+    ('TRAJ', 'MAX_LINEAR_ACCELERATION'): 'the limits are those of the axes',
+    ('TRAJ', 'MAX_ACCELERATION'): 'the limits are those of the axes',
+    ('TRAJ', 'MAX_ANGULAR_ACCELERATION'): 'the limits are those of the axes',
+    ('TRAJ', 'MAX_LINEAR_JERK'): 'the limits are those of the axes',
+    ('HAL', 'POSTGUI_HALFILE'): 'it connects a user interface that does not run here',
+}
 
 
-def machine_from_ini(path: Path) -> tuple[str, list[str]]:
-    """Return the text of a machine file and what was assumed; MachineError names file and key."""
+@dataclass
+class Import:
+    ini: Ini
+    notes: list[str] = field(default_factory=list)  #: What was assumed.
+    ignored: dict[str, list[str]] = field(default_factory=dict)  #: Keys by the reason.
+
+    def ignore(self, reason: str, key: str) -> None:
+        keys = self.ignored.setdefault(reason, [])
+        keys += [key] if key not in keys else []
+
+
+def machine_from_ini(path: Path) -> tuple[str, list[str], list[str]]:
+    """Return the text of a machine file, what was assumed, and what was ignored.
+
+    Raises MachineError with the file and the key.
+    """
+    found = Import(read_ini(path))
     try:
-        sections = _sections(path.read_text(encoding='utf-8', errors='replace'))
-    except OSError as problem:
-        raise MachineError(f'{path}: cannot be opened: {problem.strerror}') from None
-    try:
-        content, notes = _content(sections)
+        content = _content(found)
         from_mapping(content)
     except MachineError as problem:
         raise MachineError(f'{path}: {problem}') from None
+    ignored = [f'{", ".join(keys)}: {reason}' for reason, keys in found.ignored.items()]
+    notes = [*found.notes, *(f'ignored: {line}' for line in ignored)]
     head = [f'# From {path.name} of LinuxCNC.', *(f'# {note}.' for note in notes)]
     told = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=150)
-    return '\n'.join([*head, told]), notes
+    return '\n'.join([*head, told]), found.notes, ignored
 
 
-def _sections(text: str) -> Sections:
-    """Read an INI; keys may repeat, and a comment begins a line."""
-    found: Sections = {}
-    section = ''
-    for line in text.splitlines():
-        line = line.strip()
-        if line[:1] == '[':
-            section = line[1:].partition(']')[0].strip().upper()
-        elif line[:1] not in ('', '#', ';') and '=' in line:
-            key, _, value = line.partition('=')
-            found.setdefault(section, []).append((key.strip().upper(), value.strip()))
-    return found
-
-
-def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
-    traj, kins = dict(ini.get('TRAJ', ())), dict(ini.get('KINS', ()))
-    demand(
-        'KINEMATICS' in kins, 'no KINEMATICS in [KINS]; give the INI file of LinuxCNC 2.8 or later'
-    )
-    name, *words = kins['KINEMATICS'].split()
+def _content(found: Import) -> dict[str, Any]:
+    ini, notes = found.ini, found.notes
+    name, joints = ini.kinematics[0], ini.joints
     demand(
         name in KINEMATICS, f'{name} is not known; known: {", ".join(KINEMATICS)}', 'KINEMATICS'
     )
-    given = next((w.partition('=')[2] for w in words if w.startswith('coordinates=')), '')
-    joints = (given or traj.get('COORDINATES', '')).replace(' ', '').upper()
-    rotary = KINEMATICS[name]
-    letters = list(dict.fromkeys(joints))
-    if name == 'trivkins' and (fourth := set(letters) - set('XYZ')) in ({'A'}, {'B'}):
-        (rotary,) = fourth
+    letters = set(joints)
+    rotary = KINEMATICS[name] or ''.join(sorted(letters & set(ABOUT)))
+    extra = sorted(letters & set(EXTRA)) if name == 'trivkins' else []
     demand(
-        sorted(letters) == sorted(f'XYZ{rotary}'),
-        f'{name} with {joints or "no axes"}: known are XYZ{rotary or ", XYZA and XYZB"}; '
-        'write the file from an example in config/machines',
+        letters == {*'XYZ', *rotary, *extra} and (rotary in ROTARY),
+        f'{name} with {joints or "no axes"}: known are XYZ{KINEMATICS[name]}'
+        + ('' if KINEMATICS[name] else ' with at most two of A, B, C, and U, V, W')
+        + '; write the file from an example in config/machines',
         'COORDINATES',
     )
-    linear, angular = _unit(traj, 'LINEAR_UNITS', 'mm'), _unit(traj, 'ANGULAR_UNITS', 'deg')
-    notes: list[str] = []
-    limits = {}
-    for letter in (*'XYZ', *rotary):
-        straight = letter in 'XYZ'
-        sources = [ini.get(f'AXIS_{letter}', ())] + [
-            ini.get(f'JOINT_{n}', ()) for n, joint in enumerate(joints) if joint == letter
-        ]
-        limits[letter], jerk_known = _limits(
-            letter, [dict(source) for source in sources], linear if straight else angular, straight
-        )
-        if not jerk_known:
-            told = f'taken as acceleration times {JERK:g}/s'
-            notes.append(f'jerk of {letter}: none in the INI, {told}')
+    linear, angular = ini.unit('LINEAR_UNITS', 'mm'), ini.unit('ANGULAR_UNITS', 'deg')
+    axes = {
+        letter: _Axis(found, letter, joints, angular if letter in ABOUT else linear)
+        for letter in (*'XYZ', *rotary, *extra)
+    }
     content: dict[str, Any] = {
-        'name': str(dict(ini.get('EMC', ())).get('MACHINE', 'linuxcnc')),
+        'name': str(dict(ini.sections.get('EMC', ())).get('MACHINE', 'linuxcnc')),
         'signals': 'milling',
         'control': {'dialect': 'linuxcnc'},
     }
-    if len(rotary) == 1:
-        content['rotary'] = _turntable(rotary, notes)
+    if name != 'trivkins':
+        content['rotary'] = _table(name, rotary, found, linear / MM)
     elif rotary:
-        content['rotary'] = _table(name, rotary, ini.get('HAL', []), linear / MM, notes)
-    return content | {'limits': limits}, notes
+        content['rotary'] = _tables(rotary, notes)
+    if extra:
+        content['extra'] = {letter: {'along': EXTRA[letter]} for letter in extra}
+    content['limits'] = {letter: axis.limits() for letter, axis in axes.items()}
+    errors = {letter: axis.following_error() for letter, axis in axes.items()}
+    if errors := {letter: error for letter, error in errors.items() if error is not None}:
+        content['following_errors'] = errors
+    _name_ignored(found, joints)
+    return content | _homing(axes)
 
 
-def _unit(traj: Mapping[str, str], key: str, usual: str) -> float:
-    text = traj.get(key, usual)
-    if text.lower() in UNITS:
-        return UNITS[text.lower()]
-    raise MachineError(f'{text!r} is no unit; known: {", ".join(UNITS)}', f'[TRAJ]{key}')
+def _name_ignored(found: Import, joints: str) -> None:
+    ini = found.ini
+    for section, pairs in ini.sections.items():
+        kind, _, which = section.partition('_')
+        for key, value in pairs:
+            idle = value.split('#')[0].strip().rstrip('.0') in ('', 'NO', 'FALSE', '-')
+            reason = OF_AXES.get(key) if kind in ('AXIS', 'JOINT') else None
+            reason = ELSEWHERE.get((section, key), reason)
+            if reason and not idle:
+                number = int(which) if which.isdigit() else -1
+                letter = joints[number] if 0 <= number < len(joints) else which
+                found.ignore(reason, f'{key} of {letter}' if kind != section else key)
 
 
-def _limits(
-    letter: str, sources: list[dict[str, str]], unit: float, straight: bool
-) -> tuple[dict[str, Any], bool]:
-    """Return the limits of an axis, the narrowest of its sections, and whether jerk is known."""
+class _Axis:
+    """An axis: its sections ``[AXIS_L]`` and ``[JOINT_N]``."""
 
-    def values(key: str, need: bool = True) -> list[float]:
-        found = [_number(source[key], letter, key) for source in sources if key in source]
-        demand(not need or found, f'missing in [AXIS_{letter}] and its [JOINT_n]', key)
+    def __init__(self, found: Import, letter: str, joints: str, unit: float):
+        ini, self.found, self.letter, self.unit = found.ini, found, letter, unit
+        self.straight = letter not in ABOUT
+        self.size = unit / (MM if self.straight else DEG)
+        own = [n for n, joint in enumerate(joints) if joint == letter]
+        self.motors = [dict(reversed(ini.sections.get(f'JOINT_{n}', ()))) for n in own]
+        self.sources = [dict(reversed(ini.sections.get(f'AXIS_{letter}', ()))), *self.motors]
+
+    def values(self, key: str, need: bool = True) -> list[float]:
+        found = [number(source[key], self.letter, key) for source in self.sources if key in source]
+        demand(not need or found, f'missing in [AXIS_{self.letter}] and its [JOINT_n]', key)
         return found
 
-    speed, turn = (M_PER_MIN, 1.0) if straight else (REV_PER_MIN, REV)
-    velocity = min(values('MAX_VELOCITY')) * unit
-    acceleration = min(values('MAX_ACCELERATION')) * unit
-    told = [jerk for jerk in values('MAX_JERK', need=False) if jerk > 0.0]  # 0: no limit there
-    jerk = min(told) * unit if told else JERK * acceleration
-    kind, per = ('m', 'm') if straight else ('rev', 'rev')
-    row: dict[str, Any] = {
-        f'velocity_{kind}_per_min': _rounded(velocity / speed),
-        f'acceleration_{per}_per_s2': _rounded(acceleration / turn),
-        f'jerk_{per}_per_s3': _rounded(jerk / turn),
+    def of_motor(self, key: str, usual: float = 0.0, motor: int = 0) -> float:
+        source = self.motors[motor]
+        return number(source[key], self.letter, key) if key in source else usual
+
+    def limits(self) -> dict[str, Any]:
+        """Return its limits, the narrowest of its sections; note a jerk that is assumed."""
+        unit, straight, found = self.unit, self.straight, self.found
+        speed, turn = (M_PER_MIN, 1.0) if straight else (REV_PER_MIN, REV)
+        largest = [min(self.values('MAX_VELOCITY')) * unit]
+        for key in ('VELOCITY', f'{"LINEAR" if straight else "ANGULAR"}_VELOCITY'):
+            # No axis moves faster than the path may.
+            text = found.ini.get('TRAJ', f'MAX_{key}')
+            largest += [number(text, '[TRAJ]', key) * unit] if text else []
+        velocity = min((each for each in largest if each > 0.0), default=0.0)
+        if velocity < largest[0]:
+            found.notes.append(f'velocity of {self.letter}: that of [TRAJ], which is lower')
+        acceleration = min(self.values('MAX_ACCELERATION')) * unit
+        told = [jerk for jerk in self.values('MAX_JERK', need=False) if jerk > 0.0]  # 0: no limit
+        if not told:
+            text = f'taken as acceleration times {JERK:g}/s'
+            found.notes.append(f'jerk of {self.letter}: none in the INI, {text}')
+        jerk = min(told) * unit if told else JERK * acceleration
+        kind, per = ('m', 'm') if straight else ('rev', 'rev')
+        row: dict[str, Any] = {
+            f'velocity_{kind}_per_min': _rounded(velocity / speed),
+            f'acceleration_{per}_per_s2': _rounded(acceleration / turn),
+            f'jerk_{per}_per_s3': _rounded(jerk / turn),
+        }
+        low, high = self.travel
+        if isfinite(low) or isfinite(high):
+            row['travel_mm' if straight else 'travel_deg'] = [low, high]
+        return row
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Its travel [mm or deg], infinite where it has no limit."""
+        low, high = self.values('MIN_LIMIT', False), self.values('MAX_LIMIT', False)
+        ends = max(low, default=-inf), min(high, default=inf)
+        return _rounded(ends[0] * self.size), _rounded(ends[1] * self.size)
+
+    def following_error(self) -> float | None:
+        error = min(self.values('FERROR', need=False), default=0.0) * self.size
+        if error > LARGEST_ERROR:
+            self.found.ignore('limits nothing', f'FERROR of {self.letter}')
+            return None
+        return _rounded(error) if error > 0.0 else None
+
+    def switch(self) -> float | None:
+        """Return the position of its reference switch [mm or deg]; None without one."""
+        search, at = self.of_motor('HOME_SEARCH_VEL'), self.of_motor('HOME_OFFSET') * self.size
+        low, high = self.travel
+        if not search:
+            return None
+        if not (low < at < high and isfinite(high - low)):
+            self.found.ignore(
+                'its switch must lie within the limits; see homing in docs/your_machine.md',
+                f'HOME_OFFSET of {self.letter}',
+            )
+            return None
+        if (search > 0.0) != (at - low >= high - at):
+            self.found.ignore(
+                'a switch is sought towards the nearer end of the travel',
+                f'HOME_SEARCH_VEL of {self.letter}',
+            )
+            return None
+        return _rounded(at)
+
+
+def _homing(axes: Mapping[str, _Axis]) -> dict[str, Any]:
+    switches = {letter: axis.switch() for letter, axis in axes.items()}
+    known = {letter: at for letter, at in switches.items() if at is not None}
+    if not known:
+        return {}
+    order: dict[float, list[str]] = {}
+    for letter in known:
+        sequence = abs(axes[letter].of_motor('HOME_SEQUENCE', inf))
+        order.setdefault(sequence, []).append(letter)
+    homing: dict[str, Any] = {
+        'switches': known,
+        'order': [order[sequence] for sequence in sorted(order)],
     }
-    low, high = values('MIN_LIMIT', need=False), values('MAX_LIMIT', need=False)
-    if low and high:
-        size = unit / (MM if straight else DEG)
-        ends = [_rounded(max(low) * size), _rounded(min(high) * size)]
-        row['travel_mm' if straight else 'travel_deg'] = ends
-    return row, bool(told)
-
-
-def _number(text: str, letter: str, key: str) -> float:
-    try:
-        value = float(text.split('#')[0].split(';')[0])
-    except ValueError:
-        value = float('nan')
-    demand(isfinite(value), f'must be a number, not {text!r}', f'{key} of {letter}')
-    return value
+    yes = ('YES', 'TRUE', '1', 'Y')
+    index = {
+        letter: at
+        for letter, at in known.items()
+        if axes[letter].motors[0].get('HOME_USE_INDEX', '').upper() in yes
+        and len(axes[letter].motors) == 1
+    }
+    squared = [letter for letter in known if len(axes[letter].motors) > 1]
+    homing |= ({'index': index} if index else {}) | ({'squared': squared} if squared else {})
+    return {'homing': homing}
 
 
 def _rounded(value: float) -> float:
     return float(f'{value:.9g}')
 
 
-def _turntable(letter: str, notes: list[str]) -> dict[str, Any]:
-    """Return the geometry of a fourth axis, beside a tilt of the head that is locked."""
-    notes.append(f'{letter}: taken as a table; where its axis lies (primary_offset_mm) as 0 0 0')
-    other = 'B' if letter == 'A' else 'A'
-    return {
-        'primary': {'name': letter, 'about': ABOUT[letter], 'carries': 'workpiece'},
-        'secondary': {'name': other, 'about': ABOUT[other], 'carries': 'tool', 'locked': True},
-        'workpiece_offset_mm': [0.0] * 3,
-        'primary_offset_mm': [0.0] * 3,
-    }
+def _tables(rotary: str, notes: list[str]) -> dict[str, Any]:
+    """Return the geometry of one or two tables; a single one goes with a locked head."""
+    rows: list[dict[str, Any]] = [
+        {'name': each, 'about': ABOUT[each], 'carries': 'workpiece'} for each in rotary
+    ]
+    offsets = ['workpiece_offset_mm', 'secondary_offset_mm', 'primary_offset_mm']
+    if len(rotary) == 1:
+        other = 'B' if rotary == 'A' else 'A'
+        rows.append({'name': other, 'about': ABOUT[other], 'carries': 'tool', 'locked': True})
+        del offsets[1]
+        notes.append(
+            f'{rotary}: taken as a table; where its axis lies (primary_offset_mm) as 0 0 0'
+        )
+    else:
+        notes.append(
+            f'{rotary}: taken as tables, {rotary[0]} carries {rotary[1]}; where their axes lie '
+            '(secondary_offset_mm, primary_offset_mm) as 0 0 0'
+        )
+    places = {key: [0.0] * 3 for key in offsets}
+    return {'primary': rows[0], 'secondary': rows[1], **places}
 
 
-def _table(
-    name: str, rotary: str, hal: list[tuple[str, str]], size: float, notes: list[str]
-) -> dict[str, Any]:
+def _table(name: str, rotary: str, found: Import, size: float) -> dict[str, Any]:
     """Return the geometry of a tilting rotary table; its pins may be set by HALCMD."""
     across = {'A': 'y', 'B': 'x'}[rotary[0]]
     pins = {f'{across}-offset': 0.0, 'z-offset': 0.0} | {f'{c}-rot-point': 0.0 for c in 'xyz'}
-    commands = ' \n'.join(value for key, value in hal if key == 'HALCMD')
+    commands = ' \n'.join(found.ini.all('HAL', 'HALCMD'))
     for pin in pins:
-        found = re.search(rf'\bset[ps]\s+(?:{name}\.|:?){pin}\s+([-+.\d]+)', commands)
-        if found:
-            pins[pin] = _number(found[1], name, pin) * size
+        words = re.search(rf'\bset[ps]\s+(?:{name}\.|:?){pin}\s+([-+.\d]+)', commands)
+        if words:
+            pins[pin] = number(words[1], name, pin) * size
         else:
-            notes.append(f'{name}.{pin}: not in the INI, taken as 0')
-    notes.append(f'{name}: conventional-directions taken as off')
+            found.notes.append(f'{name}.{pin}: not in the INI, taken as 0')
+    found.notes.append(f'{name}: conventional-directions taken as off')
     point = [pins[f'{c}-rot-point'] for c in 'xyz']
     offset = [0.0, 0.0, pins['z-offset']]
     offset['xyz'.index(across)] = pins[f'{across}-offset']

@@ -350,7 +350,7 @@ ROOM = 0.4  #: Largest share of the travel to one side.
 def excitation(machine: Machine) -> str:
     """Write the program for all axes, which ends where they stand; MachineError without room."""
     lines = [f'(EXCITATION OF THE AXES OF {machine.name.upper()}: for cnc-interp identify)']
-    moving = [axis for axis in machine.axes if np.ptp(axis.travel) > 1e-6]  # none that is locked
+    moving = [axis for axis in machine.axes if not axis.locked]
     lines += ['G21 G94 G91', 'TRAFOOF', 'G0 ' + ' '.join(f'{axis.name}0' for axis in moving)]
     for axis in moving:
         unit = MM if axis.linear else DEG

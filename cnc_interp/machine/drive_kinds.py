@@ -78,7 +78,7 @@ def _start(machine: Machine, height: float) -> FloatArray:
 def _hal(machine: Machine, period: float, values: Values, _link: Link) -> Drives:
     from cnc_interp.machine.hal_drives import HalDrives
 
-    return HalDrives(machine, period, values['hal_depth'], _limits(values))
+    return HalDrives(machine, period, values['hal_depth'], _limits(machine, values))
 
 
 def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> Drives:
@@ -87,11 +87,16 @@ def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> 
     joints = joints_of(values['controller_joints'], machine)
     controller = link(values['controller'], values['controller_feedback'], joints)
     delay, silence = values['controller_delay'], values['controller_silence']
-    return TrajectoryDrives(machine, period, controller, delay, _limits(values), silence)
+    return TrajectoryDrives(machine, period, controller, delay, _limits(machine, values), silence)
 
 
-def _limits(values: Values) -> tuple[float, float]:
-    return values['following_error_limit'], values['following_angle_limit']
+def _limits(machine: Machine, values: Values) -> FloatArray:
+    """Return the largest following error of each axis: its own, or that of all [m, rad]."""
+    usual = values['following_error_limit'], values['following_angle_limit']
+    found = np.where(machine.is_linear, *usual)
+    for axis, own in machine.following_errors.items():
+        found[axis] = own
+    return found
 
 
 LIMITS = (

@@ -16,7 +16,7 @@ from cnc_interp.core import DEG, MM, FloatArray
 from cnc_interp.core.native import publish
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError, HomedDrives
-from cnc_interp.machine.hal_file import SAMPLER, STREAMER, columns_of
+from cnc_interp.machine.hal_pins import SAMPLER, STREAMER, columns_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import home_input, index_signals
 
@@ -157,15 +157,15 @@ CAUSES = {
 class HalDrives(HomedDrives):
     """Drives that a running session of HAL moves; see ``drives.CycleDrives``.
 
-    ``depth``: setpoints that wait in HAL's FIFO; ``limits``: largest following error of linear [m]
-    and rotary axes [rad]. Raises DriveFaultError if no session runs, the wiring is wrong, or HAL's
+    ``depth``: setpoints that wait in HAL's FIFO; ``limits``: largest following error of each axis
+    [m, rad]. Raises DriveFaultError if no session runs, the wiring is wrong, or HAL's
     thread stands or has another period.
     """
 
     wired = True
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
-    def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):
+    def __init__(self, machine: Machine, period: float, depth: int, limits: FloatArray):
         self._names, self.ahead = machine.axis_names, (depth + hal_step.LATER) * period
         n = len(self._names)
         self._session = HalSession()
@@ -229,14 +229,13 @@ class HalDrives(HomedDrives):
         machine: Machine,
         period: float,
         depth: int,
-        limits: tuple[float, float],
+        limits: FloatArray,
         stream: HalStream,
         samples: HalStream,
     ) -> None:
         block, words, session = self._block, self._block.words, self._session
-        linear = machine.is_linear
-        block.units[:] = np.where(linear, MM, DEG)
-        block.limits[:] = np.where(linear, *limits)
+        block.units[:] = np.where(machine.is_linear, MM, DEG)
+        block.limits[:] = limits
         for word, function in (
             (hal_step.WRITE, 'hal_stream_write'),
             (hal_step.READ, 'hal_stream_read'),

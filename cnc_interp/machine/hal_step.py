@@ -14,7 +14,7 @@ from numba import carray, types
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import NANOSECONDS, call_c, pointer, publish, time_now
-from cnc_interp.machine.hal_file import BITS
+from cnc_interp.machine.hal_pins import BITS
 
 #: Words of the memory: addresses of HAL's functions and streams, ...
 WRITE, READ, DEPTH, OVERRUNS, STREAM, SAMPLES = range(6)

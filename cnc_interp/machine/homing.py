@@ -10,7 +10,7 @@ from cnc_interp.machine.drives import HomedDrives
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import home_input, index_signals
+from cnc_interp.machine_model.signals import home_input, index_signals, square_output
 from cnc_interp.run.run_state import Reason, State
 
 SEARCH, BACK = 0.1, 0.01  #: Shares of the velocity limits towards the switch and back from it [-].
@@ -53,11 +53,14 @@ class SimulatedSwitches:
 
     find = ask = lose
 
+    def square(self, names: Sequence[str], on: bool) -> None:
+        """Do nothing: the motors of a simulated gantry are square."""
+
 
 class WiredSwitches(SimulatedSwitches):
     """Switches on the inputs ``home_x`` ...; axes count anew from their release, or their index.
 
-    Until then an axis counts from the end of its travel, so that it may move all its way.
+    Until then an axis counts from an end of its travel, so that it may move all its way.
     """
 
     def __init__(self, playback: Playback, drives: HomedDrives):
@@ -72,6 +75,11 @@ class WiredSwitches(SimulatedSwitches):
         self._inputs = [inputs.get(home, -1) for home, *_ in wires]
         self._waits = [inputs.get(waits, -1) for _, _, waits, _ in wires]
         self._asks = [outputs.get(asked, -1) for _, asked, _, _ in wires]
+        self._squares = {
+            name: outputs[square_output(name)]
+            for name in machine.axis_names
+            if square_output(name) in outputs
+        }
 
     def pressed(self, q: FloatArray) -> BoolArray:
         told = np.append(self._drives.inputs, 0.0)  # the last is of an axis without a switch
@@ -89,17 +97,25 @@ class WiredSwitches(SimulatedSwitches):
             if self._asks[i] >= 0:
                 self._playback.spindle.commanded[self._asks[i]] = asks
 
+    def square(self, names: Sequence[str], on: bool) -> None:
+        for name in set(names) & set(self._squares):
+            self._playback.spindle.commanded[self._squares[name]] = float(on)
+
     def lose(self, names: Sequence[str]) -> None:
         self._watch(names, self._inputs, 0.0)
         q = self._playback.axes.setpoints[-1]
         low, high = self._machine.travel.T
-        at_high = self.pressed(q) == (self.towards > 0.0)
-        self._shift(names, np.where(at_high, high, low) - q)
+        near = np.where(self.towards > 0.0, high, low)
+        far = low + high - near
+        # Beside the far end is room for the way that an axis still goes after its switch released.
+        room = 0.5 * (near - self._at)
+        self._shift(names, np.where(self.pressed(q), near, far + room) - q)
 
     def find(self, names: Sequence[str]) -> None:
         at = np.where(np.isfinite(self._index), self._index, self._at)
         self._shift(names, at - self._drives.released)
         self._watch(names, self._inputs, 0.0)
+        self.square(names, False)
 
     def _shift(self, names: Sequence[str], by: FloatArray) -> None:
         homed = np.isin(self._machine.axis_names, list(names))
@@ -173,6 +189,7 @@ class Homing:
         self._stages = dict.fromkeys(group, AxisHoming.SEARCHES)
 
     def stop(self, now: float) -> None:
+        self._switches.square(self._names, False)
         self._groups, self._stages = [], {}
         self._jog.beat({}, 0.0, now)
 
@@ -193,6 +210,7 @@ class Homing:
             i = self._names.index(name)
             if stage is AxisHoming.SEARCHES and pressed[i]:
                 self._stages[name] = AxisHoming.LEAVES
+                self._switches.square([name], True)
             elif stage is AxisHoming.LEAVES and not pressed[i]:
                 self._stages[name] = AxisHoming.DONE
                 if name in self._machine.homing.index:

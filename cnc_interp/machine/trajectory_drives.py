@@ -63,8 +63,8 @@ class Controller(Protocol):
 class TrajectoryDrives(DelayedDrives):
     """Drives that a trajectory controller moves; see ``drives.DelayedDrives``.
 
-    ``delay``: from a setpoint in the cycle to its execution [s]; ``limits``: following errors of
-    linear [m] and rotary axes [rad]; ``silence`` after which the feedback counts as lost [s].
+    ``delay``: from a setpoint in the cycle to its execution [s]; ``limits``: following error of
+    each axis [m, rad]; ``silence`` after which the feedback counts as lost [s].
     Raises DriveFaultError if the positions of the axes are not reported.
     """
 
@@ -76,7 +76,7 @@ class TrajectoryDrives(DelayedDrives):
         period: float,
         controller: Controller,
         delay: float,
-        limits: tuple[float, float],
+        limits: FloatArray,
         silence: float,
     ):
         self._names, self._controller = machine.axis_names, controller
@@ -86,7 +86,7 @@ class TrajectoryDrives(DelayedDrives):
         self._delay = round(delay * 1e9)
         self._step = max(1, round(SPACING / period))
         self._linear = machine.is_linear
-        self._limits: FloatArray = np.where(self._linear, *limits)
+        self._limits = limits
         #: Rows that the controller may still need; more are kept to compare late reports with.
         self._needed = int(np.ceil((delay + OVERLAP) / period)) + self._step
         self._kept = self._needed + round(LATEST / period)

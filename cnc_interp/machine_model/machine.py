@@ -45,6 +45,10 @@ class Axis(AxisLimits):
         return not np.isfinite(self.travel).all()
 
     @property
+    def locked(self) -> bool:
+        return not self.linear and np.ptp(self.travel) <= LOCKED
+
+    @property
     def unit(self) -> str:
         return 'm' if self.linear else 'rad'
 
@@ -105,6 +109,8 @@ class Machine:
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     #: For axes whose drives are not ideal: how they follow their setpoints.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
+    #: Largest following error of axes that have their own [m or rad].
+    following_errors: dict[int, float] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
     homing: entries.ReferenceSwitches = field(default_factory=entries.ReferenceSwitches)
     #: How its control goes through short blocks, if that is slower than the axes allow.
@@ -160,7 +166,7 @@ class Machine:
             v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
             per_minute = v * MINUTE / axis.shown_size
             slowest, fastest = LIKELY[axis.linear]
-            if axis.endless or np.ptp(axis.travel) > LOCKED:
+            if not axis.locked:
                 if not slowest <= per_minute <= fastest:
                     yield (
                         f'{axis.name}: the largest velocity of the machine file is '
@@ -288,12 +294,13 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
         limits=Limits(tuple(found)).having(by_place=by_place, load=loads),
         drives=axis_drives(content, names, linear, loads),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
+        following_errors=entries.following_errors(content, names, linear),
         homing=switches,
         pace=entries.block_pace(content, min(axis.max_jerk for axis in found[:3])),
         standstill=standstill(content),
         control=control(content),
         macros=macros(content),
-        signals=signals(content, switches.index),
+        signals=signals(content, switches.index, switches.switches, switches.squared),
         **(entries.rotary_geometry(rotary) if rotary else entries.linear_geometry(content)),
     )
 

@@ -247,6 +247,8 @@ class ReferenceSwitches:
     switches: Mapping[str, float] = field(default_factory=dict)
     #: Position of the index pulse that comes after the release of the switch [m, rad].
     index: Mapping[str, float] = field(default_factory=dict)
+    #: Axes of gantries: two motors, each with a switch of its own.
+    squared: tuple[str, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()  #: Axes that home together, group after group.
     required: bool = False  #: Whether no program may start before all these axes are homed.
 
@@ -256,12 +258,18 @@ def homing(
 ) -> ReferenceSwitches:
     if content.get('homing') is None:
         return ReferenceSwitches()
-    given = section(content, 'homing', ('switches', 'index', 'order', 'required'))
+    given = section(content, 'homing', ('switches', 'index', 'squared', 'order', 'required'))
     order, required = given.get('order'), given.get('required', False)
     demand(isinstance(required, bool), 'must be true or false', 'homing.required')
     found, index = _on_travel(given, 'switches', travel), dict[str, float]()
     if 'index' in given:
         index = _on_travel(given, 'index', {name: travel[name] for name in found})
+    squared = given.get('squared', [])
+    demand(
+        isinstance(squared, list) and set(map(str, squared)) <= set(found) - set(index),
+        'must list axes of switches that have no index',
+        'homing.squared',
+    )
     groups = [[name] for name in found] if order is None else order
     lists = isinstance(groups, list) and all(isinstance(group, list) for group in groups)
     demand(
@@ -269,7 +277,7 @@ def homing(
         'must name each axis of switches once, as [[Z], [X, Y]]',
         'homing.order',
     )
-    return ReferenceSwitches(found, index, tuple(map(tuple, groups)), required)
+    return ReferenceSwitches(found, index, tuple(squared), tuple(map(tuple, groups)), required)
 
 
 def _on_travel(
@@ -290,6 +298,16 @@ def _on_travel(
     return found
 
 
+def following_errors(
+    content: dict[str, Any], names: list[str], linear: list[bool]
+) -> dict[int, float]:
+    given = entries_by_axis(content, 'following_errors', names, 'a largest following error')
+    return {
+        i: number(value, where, 1e-6, 1e3) * (MM if linear[i] else DEG)
+        for i, where, value in given
+    }
+
+
 def axis_limits(limits: dict[str, Any], name: str, linear: bool) -> AxisLimits:
     values: Any = limits.get(name)
     demand(
@@ -305,11 +323,12 @@ def axis_limits(limits: dict[str, Any], name: str, linear: bool) -> AxisLimits:
         found.append(number(values[key], f'limits.{name}.{key}', low / unit, high / unit) * unit)
     low, high = -np.inf, np.inf
     if travel_key in values:
-        low_high = numbers(values[travel_key], 2, f'limits.{name}.{travel_key}')
-        demand(
-            low_high[0] < low_high[1], 'must be [lowest, highest]', f'limits.{name}.{travel_key}'
-        )
-        low, high = (x * units[travel_key] for x in low_high)
+        ends, where = values[travel_key], f'limits.{name}.{travel_key}'
+        lists = isinstance(ends, list) and len(ends) == 2
+        given = [x for x in ends if x not in (-np.inf, np.inf)] if lists else ends
+        numbers(given, len(given) if lists else 2, where)
+        demand(ends[0] < ends[1], 'must be [lowest, highest]', where)
+        low, high = (x * units[travel_key] for x in ends)
     return AxisLimits(found[0], found[1], found[2], (low, high))
 
 

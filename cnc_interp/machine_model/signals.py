@@ -80,6 +80,11 @@ def home_input(axis: str) -> str:
     return f'{HOME}{axis.lower()}'
 
 
+def square_output(axis: str) -> str:
+    """Return the output that lets the motors of a gantry stop one by one at their switches."""
+    return f'square_{axis.lower()}'
+
+
 def index_signals(axis: str) -> tuple[str, str, str]:
     """Return the output that asks for an index, and the inputs: it waits, and what it took off."""
     return tuple(f'index{what}_{axis.lower()}' for what in ('', '_waits', '_offset'))  # type: ignore[return-value]
@@ -227,10 +232,16 @@ class Signals:
         return f'{signal.name} {value:g} {signal.unit}'.rstrip()
 
 
-def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
+def signals(
+    content: Mapping[str, Any],
+    index: Iterable[str] = (),
+    switches: Iterable[str] = (),
+    squared: Iterable[str] = (),
+) -> Signals:
     """Read ``signals`` of a machine file: a mapping, or the name of a file in config/signals.
 
-    Axes with an ``index`` pulse whose switch is an input have ``index_signals``, too.
+    Each of the reference ``switches`` is an input, declared or not. Their axes with an ``index``
+    pulse have ``index_signals``, too, and those to be ``squared`` the output ``square_output``.
     """
     given = content.get('signals')
     if given is None:
@@ -250,6 +261,9 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
     )
     outputs = tuple(_signals(given, 'outputs', ()))
     inputs = tuple(_signals(given, 'inputs', [signal.name for signal in outputs]))
+    known_inputs = [signal.name for signal in inputs]
+    inputs += tuple(Signal(name) for name in map(home_input, switches) if name not in known_inputs)
+    outputs += tuple(Signal(square_output(axis)) for axis in squared)
     for axis in index:
         if home_input(axis) in [signal.name for signal in inputs]:
             asked, waits, offset = index_signals(axis)

@@ -15,7 +15,8 @@ import hal_session
 from operated import Bench, Result
 
 from cnc_interp.commands.cli import main
-from cnc_interp.machine.hal_file import hal_file
+from cnc_interp.convert.linuxcnc_hal import hal_file
+from cnc_interp.convert.linuxcnc_wiring import Wiring
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.signals import signals
 from cnc_interp.nodes.parameters import NODES
@@ -78,7 +79,7 @@ def hal():
     reason = hal_session.why_not()
     if reason:
         pytest.skip(reason)
-    made, left_out = hal_file(LINUXCNC, 'XYZAC', 'XYZAC', SIGNALS)
+    made, left_out = hal_file(LINUXCNC, 'XYZAC', Wiring('XYZAC'), SIGNALS)
     assert len(left_out) == 1 and 'emergency stop' in left_out[0]
     text = made.replace('cnc-empty', 'empty').replace('cnc-x-asked', 'index_x')
     with hal_session.Session(text, SIGNALS) as session:

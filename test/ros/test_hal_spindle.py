@@ -17,7 +17,7 @@ import hal_session
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core.small_files import config_directory, read_yaml
-from cnc_interp.machine.hal_file import pins_of
+from cnc_interp.machine.hal_pins import pins_of
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.machine_model.signals import signals
 

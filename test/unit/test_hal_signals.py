@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.machine import hal_step
-from cnc_interp.machine.hal_file import columns_of
+from cnc_interp.machine.hal_pins import columns_of
 from cnc_interp.machine_model.signals import signals
 
 SIGNALS = signals({'signals': 'milling'})

@@ -5,6 +5,7 @@ import pytest
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core import DEG, INCH
+from cnc_interp.machine.axis_motion import beyond_travel
 from cnc_interp.machine_model.machine import Machine
 
 TABLE = """[EMC]
@@ -123,3 +124,107 @@ def test_a_plan_tells_limits_in_a_wrong_unit(tmp_path, capsys, key, value, told)
     assert main(['plan', str(tmp_path / 'p.ngc'), *words]) == 0
     notes = [line for line in capsys.readouterr().err.splitlines() if 'right?' in line]
     assert len(notes) == 1 and told in notes[0]
+
+
+PLAIN = '[KINS]\nKINEMATICS = trivkins coordinates={}\n[TRAJ]\nLINEAR_UNITS = {}\n'
+
+
+def axes_of(joints, more=''):
+    """Sections of an axis for each letter, and of a joint for each letter as often as it comes."""
+    rows = 'MAX_VELOCITY = 2\nMAX_ACCELERATION = 10\nMIN_LIMIT = -3\nMAX_LIMIT = 9\n'
+    names = [f'AXIS_{letter}' for letter in dict.fromkeys(joints)]
+    names += [f'JOINT_{n}' for n in range(len(joints))]
+    return ''.join(f'[{name}]\n{rows}' for name in names) + more
+
+
+def test_an_included_file_counts_as_part_of_the_ini(tmp_path):
+    whole = PLAIN.format('XYZ', 'mm') + axes_of('XYZ')
+    status, file = imported(tmp_path, whole)
+    wanted = file.read_text()
+    (tmp_path / 'joints.inc').write_text(axes_of('XYZ'))
+    assert (
+        imported(tmp_path, PLAIN.format('XYZ', 'mm') + '#INCLUDE joints.inc\n')[0] == status == 0
+    )
+    assert file.read_text() == wanted
+    (tmp_path / 'joints.inc').unlink()
+    assert imported(tmp_path, PLAIN.format('XYZ', 'mm') + '#INCLUDE joints.inc\n')[0] == 2
+
+
+@pytest.mark.parametrize(('gone', 'travel'), [('MAX', [-3.0, np.inf]), ('MIN', [-np.inf, 9.0])])
+def test_a_limit_to_one_side_is_kept(tmp_path, gone, travel):
+    text = PLAIN.format('XYZ', 'mm') + axes_of('XYZ').replace(f'{gone}_LIMIT', 'NOT')
+    machine = Machine.load(imported(tmp_path, text)[1])
+    assert 1e3 * machine.travel[1] == pytest.approx(travel)
+    beyond = np.zeros((1, 3))
+    beyond[0, 1] = 10e-3 if gone == 'MIN' else -10e-3
+    assert beyond_travel(machine, beyond) and not beyond_travel(machine, -beyond)
+
+
+def test_what_an_ini_says_is_used_or_named(tmp_path, capsys):
+    """A session found BACKLASH, HOME_*, REMAP and others dropped without a word."""
+    more = """[JOINT_0]
+BACKLASH = 0.3
+COMP_FILE = x.comp
+FERROR = 0.5
+HOME_SEARCH_VEL = -5
+HOME_OFFSET = -2
+HOME_SEQUENCE = 1
+[JOINT_2]
+FERROR = 0.25
+MIN_FERROR = 0.01
+HOME_SEARCH_VEL = 5
+HOME_OFFSET = 8.5
+HOME_USE_INDEX = YES
+HOME_SEQUENCE = 0
+HOME = 1
+[JOINT_1]
+HOME_SEARCH_VEL = 5
+HOME_OFFSET = 10
+[EMCIO]
+TOOL_CHANGE_POSITION = 0 0 2
+TOOL_CHANGE_QUILL_UP = 1
+RANDOM_TOOLCHANGER = 0
+[RS274NGC]
+REMAP = M6 modalgroup=6 ngc=toolchange
+"""
+    text = PLAIN.format('XYZ', 'mm') + 'MAX_LINEAR_VELOCITY = 1.5\n' + axes_of('XYZ', more)
+    status, file = imported(tmp_path, text)
+    told = capsys.readouterr().err
+    machine = Machine.load(file)
+    assert status == 0 and machine.max_velocity == pytest.approx(1.5e-3)
+    assert machine.following_errors == pytest.approx({0: 0.5e-3, 2: 0.25e-3})
+    assert machine.homing.switches == pytest.approx({'X': -2e-3, 'Z': 8.5e-3})
+    assert machine.homing.index == pytest.approx({'Z': 8.5e-3})
+    assert machine.homing.groups == (('Z',), ('X',))
+    inputs = [signal.name for signal in machine.signals.inputs]
+    assert {'home_x', 'home_z', 'index_waits_z'} <= set(inputs) and 'home_y' not in inputs
+    for key in (
+        *('BACKLASH of X', 'COMP_FILE of X', 'MIN_FERROR of Z', 'HOME of Z', 'HOME_OFFSET of Y'),
+        *('TOOL_CHANGE_POSITION', 'TOOL_CHANGE_QUILL_UP', 'REMAP', 'velocity of X'),
+    ):
+        assert sum(key in line for line in told.splitlines()) == 1, key
+    assert 'RANDOM_TOOLCHANGER' not in told
+
+
+@pytest.mark.parametrize(
+    ('joints', 'names'),
+    [
+        ('XYZC', 'XYZC'),
+        ('XYZAC', 'XYZAC'),
+        ('XYZBA', 'XYZAB'),
+        ('XYZW', 'XYZW'),
+        ('XYYZA', 'XYZA'),
+    ],
+)
+def test_machines_without_a_transformation_have_tables_and_extra_axes(tmp_path, joints, names):
+    status, file = imported(tmp_path, PLAIN.format(joints, 'mm') + axes_of(joints))
+    machine = Machine.load(file)
+    assert status == 0
+    assert [axis.name for axis in machine.axes if not axis.locked] == list(names)
+
+
+def test_a_unit_may_be_a_number(tmp_path):
+    machine = Machine.load(
+        imported(tmp_path, PLAIN.format('XYZ', 0.0393700787401575) + axes_of('XYZ'))[1]
+    )
+    assert machine.max_velocity == pytest.approx(2 * INCH)

@@ -37,7 +37,9 @@ class Bench:
         self.model = ControllerModel(JOINTS, START[::-1], **tolerances)
         self.axes, self.stuck = START.copy(), np.zeros(5, dtype=bool)
         self.commanded, self.played, self.sent, self.reports = [], [], [], []
-        self.drives = TrajectoryDrives(MACHINE, T, self, delay, (1e-3, 0.02), 1.0)
+        self.drives = TrajectoryDrives(
+            MACHINE, T, self, delay, np.where(MACHINE.is_linear, 1e-3, 0.02), 1.0
+        )
         self.playback = Playback(MACHINE, T, self.drives, 50)
         self.playback.switch_on()
         self.waits = False

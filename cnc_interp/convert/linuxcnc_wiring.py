@@ -1,0 +1,56 @@
+"""What the INI file of a LinuxCNC machine tells about its joints."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from cnc_interp.convert.hal_board import Resolve
+from cnc_interp.convert.linuxcnc_files import UNITS, Ini, number
+from cnc_interp.core import DEG, INCH, MM
+from cnc_interp.machine_model.machine import Machine
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """The joints of a machine; all but their letters may be left out."""
+
+    joints: str  #: Letter of the axis of each joint, as ``XYZ``.
+    units: Mapping[str, float] = field(default_factory=dict)  #: HAL's unit of an axis [mm, deg].
+    #: Of each joint: position of its switch, and its largest following error, in HAL's units.
+    switches: Mapping[int, float] = field(default_factory=dict)
+    errors: Mapping[int, float] = field(default_factory=dict)
+    locked: str = ''  #: Axes without a motor.
+    resolve: Resolve = str
+
+
+def wiring_of(
+    machine: Machine, ini: Ini | None, joints: str | None, units: str | None
+) -> tuple[Wiring, list[str]]:
+    """Return what is known about the joints of a machine, and what was assumed."""
+    locked = ''.join(axis.name for axis in machine.axes if axis.locked)
+    own = ''.join(name for name in machine.axis_names if name not in locked)
+    joints = (joints or (ini.joints if ini else own)).upper()
+    if ini is None:
+        told = [] if units else ['assumed: lengths in the HAL files are in mm (--units)']
+        size = INCH / MM if units == 'inch' else 1.0
+        return Wiring(
+            joints, {a.name: size for a in machine.axes if a.linear}, locked=locked
+        ), told
+    linear, angular = ini.unit('LINEAR_UNITS', 'mm') / MM, ini.unit('ANGULAR_UNITS', 'deg') / DEG
+    linear = linear if units is None else UNITS[units] / MM
+    numbers = [
+        {
+            k: number(text, letter, key)
+            for k, letter in enumerate(joints)
+            if (text := ini.get(f'JOINT_{k}', key))
+        }
+        for key in ('HOME_OFFSET', 'FERROR')
+    ]
+
+    def resolve(word: str) -> str:
+        section, _, key = word.removeprefix('[').partition(']')
+        return ini.get(section, key) if key else word
+
+    found = {a.name: round(linear if a.linear else angular, 9) for a in machine.axes}
+    names = ini.all('HAL', 'POSTGUI_HALFILE')
+    told = [f'not read: {", ".join(names)}, for the user interface'] if names else []
+    return Wiring(joints, found, numbers[0], numbers[1], locked, resolve), told

@@ -1,0 +1,84 @@
+"""Pins of LinuxCNC's HAL at which outputs and inputs of a machine are."""
+
+import math
+
+from cnc_interp.core import InterpError
+from cnc_interp.machine_model.signals import LOST_MACHINE, Signals
+
+NO_SIGNALS = Signals()
+STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
+MOST = 21  #: Columns of a stream of HAL.
+BITS = 16  #: In a column: as many as ``weighted_sum`` of HAL adds up.
+POWER = 'cnc-power'  #: The signal that takes the place of those that power each joint.
+
+
+def columns_of(n: int, signals: Signals) -> tuple[str, str]:
+    """Return the columns of ``streamer`` and ``sampler`` for n axes, as their cfg names them.
+
+    InterpError where HAL has fewer.
+    """
+    found = []
+    for what, declared, bits, letter in (
+        ('streamer', signals.wires, 1, 'u'),
+        ('sampler', signals.inputs, n + 2, 's'),
+    ):
+        numbers = sum(signal.is_number for signal in declared)
+        packed = math.ceil((bits + len(declared) - numbers) / BITS)
+        found.append('f' * (2 * n + numbers) + letter * packed)
+        if len(found[-1]) > MOST:
+            raise InterpError(
+                f"{what} of LinuxCNC's HAL has at most {MOST} columns, this machine needs "
+                f'{len(found[-1])}: name fewer signals in its file'
+            )
+    return found[0], found[1]
+
+
+def sent(bit: int) -> str:
+    """Return the pin of a bit of ``streamer``: power, then those of ``signals``."""
+    return f'bits-{bit // BITS}.out-{bit % BITS:02d}'
+
+
+def seen(bit: int) -> str:
+    """Return the pin of a bit of ``sampler``: faults, power, empty, then those of ``signals``."""
+    return f'wsum.{bit // BITS}.bit.{bit % BITS}.in'
+
+
+def pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the pins of outputs and inputs by name.
+
+    Numbers have columns after the velocities. What the end of the machine node switches off comes
+    through a gate.
+    """
+    outputs, inputs = raw_pins_of(n, signals)
+    return outputs | {name: f'{gate}.out' for name, gate, _ in gates(signals)}, inputs
+
+
+def gates(signals: Signals) -> list[tuple[str, str, str]]:
+    """Return name, gate and module of each output that is off while the axes have no power."""
+    return [
+        (signal.name, f'on-{signal.name}', 'mux2' if signal.is_number else 'and2')
+        for signal in (signals.outputs[k] for k in signals.off.get(LOST_MACHINE, ()))
+    ]
+
+
+def gate_lines(n: int, signals: Signals) -> list[str]:
+    raw, lines = raw_pins_of(n, signals)[0], []
+    for name, gate, module in gates(signals):
+        value, power = ('in1', 'sel') if module == 'mux2' else ('in0', 'in1')
+        lines += [f'net cnc-{gate} {raw[name]} => {gate}.{value}']
+        lines += [f'net {POWER} => {gate}.{power}']
+    return lines
+
+
+def raw_pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the pins as ``pins_of``, but before the gates."""
+    outputs, inputs = dict[str, str](), dict[str, str]()
+    for pins, declared, name, bit, pin in (
+        (outputs, signals.wires, STREAMER, 1, sent),
+        (inputs, signals.inputs, SAMPLER, n + 2, seen),
+    ):
+        number = 2 * n
+        for signal in declared:
+            pins[signal.name] = f'{name}.pin.{number}' if signal.is_number else pin(bit)
+            number, bit = number + signal.is_number, bit + (not signal.is_number)
+    return outputs, inputs

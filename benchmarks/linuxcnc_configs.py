@@ -94,11 +94,11 @@ def tried(path: Path, loads: bool) -> Found:
         return Found(path, reached, ' '.join(str(problem).split()), True)
     if not loads:
         return Found(path, reached)
-    sections = ''.join(
-        f'[{name}]\n' + ''.join(f'{key} = {value}\n' for key, value in pairs)
-        for name, pairs in ini.sections.items()
-    )
-    told = load(made, sections)
+
+    def value(found: re.Match[str]) -> str:
+        return ini.get(found[1].upper(), found[2].strip('()').upper()) or found[0]
+
+    told = load(re.sub(r'\[(\w+)\](\(\w+\)|\w+)', value, made))
     return Found(path, reached, told) if told else Found(path, 'loaded')
 
 
@@ -136,29 +136,31 @@ class _Session:
         file = self.folder / name
         file.write_text('\n'.join(lines) + '\n', encoding='utf-8')
         file.chmod(0o644)
-        status, told = self.run('halcmd', '-i', str(self.folder / 'x.ini'), '-f', str(file))
+        status, told = self.run('halcmd', '-f', str(file))
         lines = [line for line in told.splitlines() if line and not line.startswith('Note')]
         return (lines or [f'exit code {status}'])[0] if status else ''
 
 
-def load(text: str, sections: str) -> str:
+def load(text: str) -> str:
     """Load a HAL file without its hardware; return the first complaint, empty without."""
     with tempfile.TemporaryDirectory(prefix='cnc_interp_hal_') as name:
         session = _Session(Path(name))
-        (session.folder / 'x.ini').write_text(sections, encoding='utf-8')
-        (session.folder / 'x.ini').chmod(0o644)
         stand_in = None
         try:
             rows = [line.partition('#')[0].split() for line in text.splitlines()]
             rows = [row for row in rows if row]
-            gone = tuple(_gone(rows))
+            loads = [row for row in rows if row[0] == 'loadrt']
+            complete = all(_available(row[1]) for row in loads)
+            #: Of modules that are there; the functions of others are left out with them.
+            own = {name for row in loads if _available(row[1]) for name in _instances(row)}
             first = [
                 r for r in rows if r[0] == 'newsig' or (r[0] == 'loadrt' and _available(r[1]))
             ]
             if told := session.lines('loads.hal', [' '.join(row) for row in first]):
                 return told
             known = _shown(session, 'pin')
-            beginnings = {pin.split('.')[0] for pin in known} | set(_shown(session, 'funct'))
+            functions = set(_shown(session, 'funct'))
+            beginnings = {pin.split('.')[0] for pin in known} | functions
             parameters = {pin.split('.')[0] for pin in _shown(session, 'param')}
             rest, missing = [], dict[str, None]()
             for row in (r for r in rows if r[0] not in ('loadrt', 'newsig', 'loadusr', 'waitusr')):
@@ -172,7 +174,7 @@ def load(text: str, sections: str) -> str:
                 elif row[0] in ('setp', 'getp'):
                     if begins[row[1]] not in beginnings | parameters:
                         continue
-                elif row[0] == 'addf' and row[1].replace('_', '-').startswith(gone):
+                elif row[0] == 'addf' and not complete and not _called(row[1], functions, own):
                     continue
                 rest.append(' '.join(row))
             if missing:
@@ -202,15 +204,13 @@ def _available(module: str) -> bool:
     return not HARDWARE.fullmatch(module) and (MODULES / f'{module}.so').exists()
 
 
-def _gone(rows: list[list[str]]) -> set[str]:
-    """Return how the names of functions begin whose modules are left out."""
-    found = set()
-    for row in (row for row in rows if row[0] == 'loadrt' and not _available(row[1])):
-        stem = row[1].removeprefix('hal_').replace('_', '-')
-        given = dict(word.split('=', 1) for word in row if '=' in word)
-        found |= {stem, stem.split('-')[0], *given.get('names', stem).split(',')}
-        found |= {'hm2'} if row[1] == 'hostmot2' else set()
-    return found
+def _instances(row: list[str]) -> list[str]:
+    given = dict(word.split('=', 1) for word in row if '=' in word)
+    return [row[1], row[1].replace('_', '-'), *given.get('names', '').split(',')]
+
+
+def _called(function: str, functions: set[str], own: set[str]) -> bool:
+    return function in functions or function in own or function.split('.')[0] in own
 
 
 def _shown(session: _Session, what: str) -> dict[str, tuple[str, str]]:
@@ -232,11 +232,14 @@ def _stand_in(
     signals: dict[str, list[str]] = {}
     for row in (row for row in rows if row[0] == 'net'):
         signals.setdefault(row[1], []).extend(p for p in row[2:] if '=' not in p)
+    set_by_hand = {row[1]: row[2] for row in rows if row[0] == 'sets' and len(row) > 2}
     types = {row[1]: row[2] for row in rows if row[0] == 'newsig' and len(row) > 2}
     for signal, pins in signals.items():
         there = [known[pin] for pin in pins if pin in known]
-        kind = there[0][0] if there else types.get(signal, 'bit')
+        is_bit = set_by_hand.get(signal, '0').upper() in ('0', '1', 'TRUE', 'FALSE')
+        kind = there[0][0] if there else types.get(signal, 'bit' if is_bit else 'float')
         written, both = (any(way == each for _, way in there) for each in ('OUT', 'I/O'))
+        written = written or signal in set_by_hand
         for pin in dict.fromkeys(pin for pin in pins if pin in missing):
             yield f'{pin} {kind} {"IN" if written else "IO" if both else "OUT"}'
             written = written or not both

@@ -129,6 +129,10 @@ class Loads:
             threads |= {of[f'name{k}']: of[f'period{k}'] for k in '123' if f'name{k}' in of}
         if len(threads) > MOST_THREADS:
             raise InterpError(f'HAL has at most {MOST_THREADS} threads, not {", ".join(threads)}')
+        # HAL makes the quickest thread first.
+        numbers = {name: self._resolve(period) for name, period in threads.items()}
+        if all(number.isdigit() for number in numbers.values()):
+            threads = dict(sorted(threads.items(), key=lambda each: int(numbers[each[0]])))
         named = ' '.join(
             f'name{k}={name} period{k}={period}'
             for k, (name, period) in enumerate(threads.items(), 1)

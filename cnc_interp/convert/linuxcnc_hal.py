@@ -22,7 +22,7 @@ from cnc_interp.machine_model.signals import Signals, home_input, index_signals,
 
 #: Modules of the motion controller, by name or as the INI file names them.
 MOTION = re.compile(r'motmod|tpmod|homemod|[\w-]+kins|\[(KINS|EMCMOT|TRAJ)\].*')
-THREADS = re.compile(r'motmod|\[EMCMOT\]EMCMOT')  #: The one that makes the threads.
+THREADS = re.compile(r'motmod|\[EMCMOT\]\(?EMCMOT\)?')  #: The one that makes the threads.
 #: Pins of programs that do not run beside cnc_interp.
 ABSENT = re.compile(r'(joint|axis|axisui|halui|iocontrol|motion|spindle|tp|ini|[\w-]+kins)\.\S+')
 #: What asks for the power of a joint.
@@ -112,6 +112,7 @@ class _Conversion:
         )
         self.made: list[str] = []
         self.left_out: list[str] = []
+        self.signals: set[str] = set()  #: That there are so far.
         self.placed: set[str] = set()  #: Pins of ours in the lines of the configuration.
         self.needed = {HANDLER, CONTROLLER}
         self._wire(axes, signals)
@@ -363,7 +364,7 @@ class _Conversion:
             self._call(CONTROLLER, FEEDBACK, words)
         elif first in (['unlinkp'], ['delsig']) or words[:2] == ['addf', FEEDBACK[0]]:
             self.made.append(f'# {row.line}')  # it has been counted
-        elif first == ['newsig'] and self._new_name(words[1]) != words[1]:
+        elif first in (['newsig'], ['sets']) and self._is_ours(words[0], words[1]):
             self.made.append(f'# {row.line}')
         elif any(map(ABSENT.fullmatch, words)):
             self.made.append(f'# {row.line}')
@@ -384,6 +385,12 @@ class _Conversion:
         self.threads |= {
             name: period for name, period in periods.items() if resolve(period) not in ('', '0')
         }
+
+    def _is_ours(self, word: str, signal: str) -> bool:
+        """Tell whether a line is about a signal that has a new name, or none of its pins."""
+        if word == 'newsig':
+            self.signals.add(signal)
+        return self._new_name(signal) != signal or signal not in self.signals
 
     def _new_name(self, signal: str) -> str:
         """Return the new name of a signal; most keep their own."""
@@ -416,6 +423,7 @@ class _Conversion:
         self.placed |= {pin for pin in kept if pin in self.board.nets or pin in self.ours}
         if lost:
             self.left_out.append(row.line.strip())
+        self.signals |= {signal} if kept or not row.words[2:] else set()
         words = ['net', self._new_name(signal), *dict.fromkeys(kept)]
         self.made.append(' '.join(words) if kept or not row.words[2:] else f'# {row.line}')
 

@@ -48,7 +48,7 @@ def wiring_of(
 
     def resolve(word: str) -> str:
         section, _, key = word.removeprefix('[').partition(']')
-        return ini.get(section, key) if key else word
+        return ini.get(section, key.strip('()')) if key else word
 
     found = {a.name: round(linear if a.linear else angular, 9) for a in machine.axes}
     names = ini.all('HAL', 'POSTGUI_HALFILE')

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, StreamError
+from cnc_interp.core import FloatArray, StreamError, norm
 from cnc_interp.core.kernels import njit
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
-from cnc_interp.run.setpoints import BEFORE, largest_shares, torque_shares
+from cnc_interp.run.setpoints import BEFORE, Setpoints, largest_shares, torque_shares
 
 ROUNDING = 1.01  #: Differences of valid setpoints exceed a limit by rounding at most.
 
@@ -122,6 +122,12 @@ class AxisMotion:
         self.setpoints = np.tile(start, (BEFORE, 1))
         self._tip = self._transform.forward(start[None, :])[0]
         self._contour = ContourErrors(self.period, self._lag, self._tip[0])
+
+    def tip_speeds(self, rows: Setpoints) -> FloatArray:
+        """Return how fast setpoints move the tip over the workpiece, (K,) [m/s]."""
+        step = rows.velocity * (0.5 * self.period)
+        ends = [self._transform.forward(rows.position + way)[0] for way in (step, -step)]
+        return norm(ends[0] - ends[1]) / self.period
 
     def measure(
         self,

@@ -14,6 +14,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from cnc_interp.core.native import publish
 from cnc_interp.machine import cycle_kernels as kernel
 from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
 from cnc_interp.machine.spindle import Spindle
+from cnc_interp.machine_model.signals import Signal
 from cnc_interp.run.setpoints import Chunk
 
 NO_SWITCHES, NO_SIGNALS = np.zeros((0, 3)), np.zeros(0)
@@ -47,6 +49,21 @@ class Records(NamedTuple):
         return Records(*(column[first:last] for column in self))  # type: ignore[arg-type]
 
 
+def speed_outputs(outputs: Sequence[Signal]) -> kernel.SpeedOutputs:
+    """Return what the cycle knows of the outputs that follow the speed of the tip."""
+    found = [(k, each) for k, each in enumerate(outputs) if each.speeds]
+    points = max((len(each.speeds) for _, each in found), default=1)
+    rows = [
+        [row + row[-1:] * (points - len(row)) for row in (each.speeds, each.shares)]
+        for _, each in found
+    ]
+    return kernel.SpeedOutputs(
+        np.array([k for k, _ in found], dtype=np.int64),
+        np.array([each.only_with for _, each in found], dtype=np.int64),
+        np.array(rows, dtype=float).reshape(-1, 2, points),
+    )
+
+
 class Cycle:
     """The compiled cycle, as the threads of Python use it; bounds are those of ``Memory``."""
 
@@ -63,6 +80,7 @@ class Cycle:
         probe: tuple[int, ...] = (),
         together: float = 0.0,
         spindle: Spindle | None = None,
+        by_speed: kernel.SpeedOutputs | None = None,
     ):
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
@@ -80,6 +98,7 @@ class Cycle:
             probe=np.array(probe, dtype=np.int64),
             stands=np.zeros(n),
             spindle=spindle or Spindle.without(outputs),
+            by_speed=by_speed or speed_outputs(()),
             records=np.zeros((kept, 4), dtype=np.int64),
             measured=np.zeros((kept, 5, n)),
             late=np.zeros(RECORD, dtype=np.int64),
@@ -95,11 +114,15 @@ class Cycle:
         self._memory.feedback[0] = self._memory.feedback[2] = position
 
     def push(
-        self, chunk: Chunk, switches: tuple[FloatArray, FloatArray] = (NO_SWITCHES, NO_SWITCHES)
+        self,
+        chunk: Chunk,
+        switches: tuple[FloatArray, FloatArray] = (NO_SWITCHES, NO_SWITCHES),
+        speeds: Sequence[FloatArray] = (),
     ) -> int:
         """Write a chunk into the ring; return its unique serial number. Linked, it is played.
 
-        ``switches``: row, output and value, (k, 3), of the chunk and of its stop tail.
+        ``switches``: row, output and value, (k, 3), of the chunk and of its stop tail; ``speeds``:
+        of the tip on both, if an output follows it [m/s].
         """
         serial, descriptors = self._written, self._memory.chunks
         if self._kept and serial - self._kept[0][0] >= len(descriptors):
@@ -113,6 +136,10 @@ class Cycle:
             descriptor[column : column + 3] = *(rows.ctypes.data for rows in both), len(part)
             descriptor[column + kernel.SWITCHES] = acts.ctypes.data
             descriptor[column + kernel.SWITCHES + 1] = len(acts)
+        descriptor[[kernel.SPEEDS, kernel.TAIL_SPEEDS]] = 0
+        for column, each in zip((kernel.SPEEDS, kernel.TAIL_SPEEDS), speeds, strict=False):
+            arrays.append(each)
+            descriptor[column] = each.ctypes.data
         descriptor[kernel.RESTS], descriptor[kernel.NEXT] = chunk.rests, kernel.NONE
         self._kept.append((serial, tuple(arrays)))
         self._written = serial + 1

@@ -21,14 +21,22 @@ QUIT, LEAVE, HALT, START, FIRST, READ, FORGET, MUTE = range(8)
 #: ... and words that the cycle writes.
 HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, ALARM, WORDS = range(8, 17)
 #: Columns of a descriptor: positions, velocities and count of a chunk, its switches (row, output,
-#: value) and their count; the same of its stop tail; whether the machine rests after it; and the
-#: chunk that comes next.
+#: value) and their count; the same of its stop tail; whether the machine rests after it; the
+#: chunk that comes next; and the speeds of the tip on both, 0 where no output follows them.
 POSITIONS, VELOCITIES, COUNT, SWITCHES, SWITCH_COUNT, TAIL_COLUMNS = range(6)
-RESTS, NEXT, COLUMNS = 10, 11, 12
+RESTS, NEXT, SPEEDS, TAIL_SPEEDS, COLUMNS = range(10, 15)
 NONE = -1  #: No chunk comes next, so far.
 #: After a longer stall of the computer the clock starts anew and does not catch up [ns].
 LONGEST_CATCH_UP = 500_000_000
 CALM = 1000  #: Steps at rest after which periods pass together.
+
+
+class SpeedOutputs(NamedTuple):
+    """Outputs that follow the speed of the tip."""
+
+    number: IntArray  #: (k,): Which outputs.
+    only_with: IntArray  #: (k,): The outputs that must be on; -1: none.
+    table: FloatArray  #: (k, 2, P): Speeds [m/s], and shares of what is commanded [-].
 
 
 class Memory(NamedTuple):
@@ -47,6 +55,7 @@ class Memory(NamedTuple):
     inputs: FloatArray  #: (n_inputs,): The inputs, which the drives write.
     probe: IntArray  #: The numbers of the output ``ARMED`` and of the input ``PROBE``; or (0,).
     spindle: Spindle
+    by_speed: SpeedOutputs
     stands: FloatArray  #: (n_axes,): Where a line in step with the spindle began [m, rad].
     records: IntArray  #: (count, 4): Source, serial, row of a period; what happened.
     #: (count, 5, n_axes): Actual position, velocity; setpoint answered; setpoint; the angle first.
@@ -168,6 +177,32 @@ def _probe_answers(memory: Memory) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def _tip_speed(memory: Memory) -> float:
+    """Return how fast the tip moves over the workpiece by the setpoint of this period [m/s]."""
+    control = memory.control
+    descriptor = memory.chunks[control[SERIAL] % len(memory.chunks)]
+    tail = control[SOURCE] == TAIL
+    address = descriptor[TAIL_SPEEDS if tail else SPEEDS]
+    if control[SOURCE] == REST:
+        return 0.0
+    if control[SOURCE] == FOLLOW or address == 0:
+        return float(np.sqrt(np.sum(memory.setpoint[1, :3] ** 2)))
+    count = descriptor[COUNT + (TAIL_COLUMNS if tail else 0)]
+    return float(carray(pointer(np.uintp(address)), (count,))[control[ROW]])
+
+
+@njit(cache=True, nogil=True)
+def _follow_speed(memory: Memory) -> None:
+    """Let outputs be the share of what is commanded that belongs to the speed of the tip."""
+    outputs, speed = memory.outputs, _tip_speed(memory)
+    for k, number in enumerate(memory.by_speed.number):
+        only = memory.by_speed.only_with[k]
+        if only < 0 or outputs[only] != 0.0:
+            speeds, shares = memory.by_speed.table[k]
+            outputs[number] *= np.interp(speed, speeds, shares)
+
+
+@njit(cache=True, nogil=True)
 def advance(memory: Memory, step: int) -> None:
     control, records = memory.control, memory.records
     events = _choose(memory)
@@ -184,6 +219,8 @@ def advance(memory: Memory, step: int) -> None:
     if control[SOURCE] == REST:
         memory.setpoint[1] = 0.0
     spin.set_outputs(memory.spindle, memory.outputs, memory.setpoint[0, 0])
+    if len(memory.by_speed.number):
+        _follow_speed(memory)
     memory.feedback[2], memory.feedback[3] = memory.setpoint[0], 0.0
     fault = call_drives(
         np.uintp(step),

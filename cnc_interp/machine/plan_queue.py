@@ -147,8 +147,14 @@ class PlanQueue:
         acts = ActsOfChunk.of(chunk, self._signals, expected)
         if acts.waiting and before is not None and not before.chunk.rests:
             raise StreamError('a function that waits must be at a rest of the path')
-        serial = self._cycle.push(chunk, acts.switches)
+        serial = self._cycle.push(chunk, acts.switches, self._speeds(chunk))
         return BufferedChunk(serial, self.run_id, first, chunk, acts)
+
+    def _speeds(self, chunk: Chunk) -> list[FloatArray]:
+        """Return the speed of the tip in a chunk and its stop tail, if an output follows it."""
+        if not any(signal.speeds for signal in self._signals.wires):
+            return []
+        return [self._axes.tip_speeds(rows) for rows in (chunk.samples, chunk.tail)]
 
     def before_join(self, run_id: RunId, number: int, state: RunState) -> FloatArray:
         """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
@@ -177,7 +183,8 @@ class PlanQueue:
         if split is not None:
             count = number - split.first
             acts = split.acts.head(count, len(split.chunk.samples))
-            serial = self._cycle.push(split.chunk.head(count), acts.switches)
+            head = split.chunk.head(count)
+            serial = self._cycle.push(head, acts.switches, self._speeds(head))
             comes.append(split.head(count, serial, acts))
         follows = comes[-1] if comes else before
         pushed = self._written(chunk, number, follows, functions)

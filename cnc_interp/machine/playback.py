@@ -15,7 +15,7 @@ import numpy as np
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine import cycle_kernels as kernel
 from cnc_interp.machine.axis_motion import AxisMotion
-from cnc_interp.machine.cycle import Cycle, Records
+from cnc_interp.machine.cycle import Cycle, Records, speed_outputs
 from cnc_interp.machine.cycle_kernels import follow_ideally
 from cnc_interp.machine.drives import (
     AxisRows,
@@ -137,6 +137,7 @@ class Playback:
             machine.signals.probe or (),
             drives.calm,
             self.spindle,
+            speed_outputs(machine.signals.wires),
         )
         self._signals = machine.signals
         self.followed: deque[Followed] = deque()  # until they are published

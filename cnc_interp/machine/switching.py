@@ -34,6 +34,11 @@ class Act(NamedTuple):
     line: int = 0  #: Of the source.
     before_stop: bool = False  #: Whether it acts before the program stop that is there.
 
+    @property
+    def limit(self) -> float:
+        """The longest wait [s]."""
+        return self.value if self.step.word[:3] == 'M66' else self.step.limit
+
 
 class ActsOfChunk(NamedTuple):
     rows: list[tuple[int, Act]]  #: With a row of its setpoints.
@@ -134,16 +139,16 @@ class Switching:
             return f'{self._breach}; see to it, then press cycle start to try again, or reset'
         if not (self._queue and self._is_set) or self._answered:
             return ''
-        step = self._queue[0].step
+        step, limit = self._queue[0].step, self._queue[0].limit
         told = self._signals.text(step.output, self._queue[0].value)
         if self._signals.is_change(step):
             return f'put {told} into the spindle, then press cycle start'
         if step.wait == ASK:
             return f'{told}: press cycle start when that is done'
-        if step.wait == NO_WAIT or self._waited <= step.limit:
+        if step.wait == NO_WAIT or self._waited <= limit:
             return ''
         return (
-            f'{told}: {self._signals.waited(step)} has not come within {step.limit:g} s; see to '
+            f'{told}: {self._signals.waited(step)} has not come within {limit:g} s; see to '
             'it, then press cycle start to go on without it, or reset to give up'
         )
 

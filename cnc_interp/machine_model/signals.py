@@ -6,11 +6,12 @@ gets them: the cycle (``machine/spindle.py``) and the planner of the feed read t
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cnc_interp.core import MachineError
+from cnc_interp.core import MINUTE, MM, MachineError
 from cnc_interp.core.small_files import UnreadableError, config_directory, is_number, read_yaml
 from cnc_interp.machine_model.demands import demand
 
@@ -39,7 +40,18 @@ NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
 HOME = 'home_'  #: Inputs of reference switches, as home_x.
 #: Values of ``Step.wait`` without an input; ``TIMED``: its value is how long it rests [s].
 NO_WAIT, ASK, TIMED = 0, -(1 << 30), -(1 << 29)
+BY_SPEED = 'mm_per_min', 'share'  #: Speeds of the tip, and shares of an output that follows it.
 DWELL = 'dwell'  #: Value of G4 [s].
+#: Words of LinuxCNC for outputs by their number: the word that does the same, and its letter.
+NUMBERED: Mapping[str, tuple[str, str]] = {
+    'M62': ('M64', 'P'),
+    'M63': ('M65', 'P'),
+    'M64': ('M64', 'P'),
+    'M65': ('M65', 'P'),
+    'M67': ('M68', 'E'),
+    'M68': ('M68', 'E'),
+}
+INPUT_WAIT = 'input_wait'  #: State: for how long M66 waits before it asks the operator [s].
 TOOL = 'tool'  #: State: the tool that the operator puts in, where no function does it.
 MOST_TOOL = 1e6  #: Largest number of a tool that a program may name.
 #: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, more of it with ``FORWARD``].
@@ -80,6 +92,15 @@ def home_input(axis: str) -> str:
     return f'{HOME}{axis.lower()}'
 
 
+def numbered_word(code: str, values: Mapping[str, float]) -> str:
+    """Return the word of a numbered output or input, as ``M64 P3`` for M62 P3; empty if wrong."""
+    word, letter = NUMBERED.get(code, (code, 'P'))
+    number, mode = values.get(letter, -1.0), values.get('L', 0.0)
+    if number < 0.0 or number != int(number) or (code == 'M66' and mode not in (3.0, 4.0)):
+        return ''
+    return f'{word} {letter}{int(number)}' + (f' L{int(mode)}' if code == 'M66' else '')
+
+
 def square_output(axis: str) -> str:
     """Return the output that lets the motors of a gantry stop one by one at their switches."""
     return f'square_{axis.lower()}'
@@ -101,6 +122,11 @@ class Signal:
     #: for a time [s].
     follows: tuple[int, ...] = ()
     after: float = 0.0
+    #: An output that follows the tool: at these speeds of its tip [m/s] these shares of what is
+    #: commanded [-], linear in between; only while another output is on, -1 for always.
+    speeds: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()
+    only_with: int = -1
     ramp: float = inf  #: How fast a spindle changes its speed, for its ``ANGLE`` [rev/s2].
 
     def fault_of(self, value: float) -> str:
@@ -289,6 +315,7 @@ def signals(
     if SPEED in [signal.name for signal in outputs]:
         outputs += tuple(Signal(name, True, unit, -1e9, 1e9) for name, unit in STATES.items())
         _add_states(outputs, inputs, steps, words)
+    outputs = _add_numbered(outputs, inputs, steps, words)
     after = given.get('after', [word for word in AFTER if word in words])
     demand(
         isinstance(after, list) and set(after) <= set(words) - set(STOPS),
@@ -436,6 +463,33 @@ def _add_states(
         steps[k] = replace(steps[k], ends=True)
 
 
+def _add_numbered(
+    outputs: tuple[Signal, ...],
+    inputs: tuple[Signal, ...],
+    steps: list[Step],
+    words: dict[str, range],
+) -> tuple[Signal, ...]:
+    """Add the words of outputs like ``digital_out_3``, and those that wait for inputs (M66)."""
+
+    def add(word: str, *given: Any, **waits: Any) -> None:
+        words[word] = range(len(steps), len(steps) + 1)
+        steps.append(Step(word, *given, **waits))
+
+    for k, name in enumerate(signal.name for signal in outputs):
+        kind, _, number = name.rpartition('_')
+        if number.isdigit() and kind == 'digital_out':
+            add(f'M64 P{number}', k, 1.0)
+            add(f'M65 P{number}', k, 0.0)
+        elif number.isdigit() and kind == 'analog_out':
+            add(f'M68 E{number}', k, 'Q')
+    waits = [(k, each.name.rpartition('_')) for k, each in enumerate(inputs, 1)]
+    for k, number in ((k, number) for k, (kind, _, number) in waits if kind == 'digital_in'):
+        add(f'M66 P{number} L3', len(outputs), 'Q', wait=k)
+        add(f'M66 P{number} L4', len(outputs), 'Q', wait=-k)
+    state = Signal(INPUT_WAIT, True, 's', high=1e6)
+    return (*outputs, state) if any(word[:3] == 'M66' for word in words) else outputs
+
+
 def _mapping(given: Mapping[str, Any], section: str) -> dict[str, Any]:
     found = given.get(section) or {}
     demand(
@@ -449,7 +503,7 @@ def _mapping(given: Mapping[str, Any], section: str) -> dict[str, Any]:
 def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[Signal]:
     for name, values in _mapping(given, section).items():
         where, values = f'signals.{section}.{name}', values or {}
-        known = {'unit', 'range'} if section == 'outputs' else {'follows', 'after_s'}
+        known = {'unit', 'range', 'by_speed'} if section == 'outputs' else {'follows', 'after_s'}
         number = section == 'inputs' and name in NUMBERS
         known = {'ramp_rpm_per_s'} if number else known
         taken = name == OPERATOR or name in STATES
@@ -479,7 +533,35 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
             high,
             tuple(outputs.index(each) for each in follows),
             _time(values, 'after_s', where, 0.0),
+            **_by_speed(values, where, list(_mapping(given, section))),
         )
+
+
+def _by_speed(values: Mapping[str, Any], where: str, outputs: list[str]) -> dict[str, Any]:
+    if 'by_speed' not in values:
+        return {}
+    table, where = values['by_speed'], f'{where}.by_speed'
+    demand(
+        'range' in values and isinstance(table, dict) and set(table) <= {*BY_SPEED, 'with'},
+        f'may hold {", ".join(BY_SPEED)} and with, for an output with a range',
+        where,
+    )
+    speeds, shares = (table.get(key) for key in BY_SPEED)
+    lists = all(isinstance(each, list) and all(map(is_number, each)) for each in (speeds, shares))
+    demand(
+        lists and len(speeds) == len(shares) > 1 and all(0.0 <= share <= 1.0 for share in shares),
+        'give as many speeds as shares from 0 to 1, at least two',
+        where,
+    )
+    rises = all(low < high for low, high in pairwise(speeds))
+    demand(speeds[0] >= 0.0 and rises, 'must be increasing speeds', f'{where}.{BY_SPEED[0]}')
+    only = table.get('with')
+    demand(only is None or only in outputs, 'must name an output', f'{where}.with')
+    return {
+        'speeds': tuple(speed * MM / MINUTE for speed in speeds),
+        'shares': tuple(map(float, shares)),
+        'only_with': -1 if only is None else outputs.index(only),
+    }
 
 
 def _range(given: Any, where: str) -> tuple[float, float]:

@@ -43,6 +43,11 @@ TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', '
 REFUSED_M = ('M17', 'M61', 'M70', 'M71', 'M72', 'M73', 'M98', 'M99', 'M198')
 #: Words that wait for the operator, and M codes that act before the others of their block.
 STOPS, FIRST = ('M1', 'M0', 'M60'), {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
+#: Words of outputs and inputs by their number, each with what it is like.
+BY_NUMBER = {
+    **{'M62': 'M64 P', 'M64': 'M64 P', 'M63': 'M65 P', 'M65': 'M65 P'},
+    **{'M67': 'M68 E', 'M68': 'M68 E', 'M66': 'M66 P'},
+}
 DWELL, FIXED = 'dwell', 'fixed'  #: Names of the values of G4 [s], and of M50 and M51.
 TAKE_P = {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}  #: Codes with their own P.
 # Words of G-code after which a number follows and that move nothing.
@@ -100,6 +105,12 @@ SCALING = {'G50', 'G50.1', 'G51', 'G51.1', 'MIRROR', 'AMIRROR', 'SCALE', 'ASCALE
 _NAMED = re.compile(
     r'(TRAORI|TRAFOOF|A?MIRROR|A?SCALE|(?:CTOL|OTOL|ORICURVE|ORIVECT|ORIAXES)(?:\s*=\s*[\d.]+)?)\b\s*'
 )
+
+
+def _numbered(code: str, words: Mapping[str, float]) -> str:
+    name = BY_NUMBER[code]
+    until = f' L{words.get("L", 0.0):g}' if code == 'M66' else ''
+    return f'{name}{words.get(name[-1], -1.0):g}{until}'
 
 
 @dataclass(frozen=True)
@@ -253,6 +264,7 @@ class _State:
         functions = [('G95' if self.per_turn else 'G94')] * (self.per_turn != was_per_turn)
         functions += [letter for letter in 'ST' if letter in idle and 'G4' not in codes]
         found = [code for code in codes if code[0] == 'M' and code not in STOPS]
+        found = [_numbered(code, idle) if code in BY_NUMBER else code for code in found]
         if 'M6' in found:
             if self.settings.by_hand and self.tool_number == self.in_spindle:
                 found.remove('M6')  # the operator has nothing to do

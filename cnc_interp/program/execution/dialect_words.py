@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from cnc_interp.machine_model.signals import NUMBERED
 from cnc_interp.program.execution import machine_words as machine
 from cnc_interp.program.execution import motion_words as motion
 from cnc_interp.program.execution import scaling_words as scaling
@@ -88,6 +89,7 @@ G: dict[str, Word] = {
 M: dict[str, Word] = {
     **_each(codes.REFUSED_M, machine.refuse_function),
     **_each(codes.STATE_M, machine.save_or_restore),
+    **_each((*NUMBERED, 'M66'), machine.numbered_function),
     **{code: word for code, word in _TCP.items() if code[0] == 'M'},
     **{code: Word(setting.nothing, Phase.END) for code in codes.ACTING_M},
 }

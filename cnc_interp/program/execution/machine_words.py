@@ -101,6 +101,19 @@ def machine_function(at: Execution, code: str, _: BlockWords) -> None:
         at.notice(code, 'no effect, it does not move the tool')
 
 
+def numbered_function(at: Execution, code: str, words: BlockWords) -> None:
+    """Take M62 to M68, which name an output or an input of the machine by its number."""
+    word = signals.numbered_word(code, words.values)
+    if not word:
+        raise at.fault(codes.NO_SUCH_NUMBER[code == 'M66'], code)
+    if word in at.signals.words:
+        words.take('PEL')
+        words.m[words.m.index(code)] = word
+    else:
+        words.take('PELQ')
+        at.notice(code, codes.NO_NUMBER.format(word))
+
+
 def save_or_restore(at: Execution, code: str, _: BlockWords) -> None:
     """Process M70 to M73: save the state, forget it, restore it; M73 does so at return."""
     flow, mover = at.flow, at.mover

@@ -40,6 +40,15 @@ NO_LENGTHS = (
 )
 #: What M codes tell on a machine without an output for them.
 NO_OUTPUT = {'M3': NO_SPINDLE, 'M4': NO_SPINDLE, 'M7': NO_COOLANT, 'M8': NO_COOLANT}
+NO_NUMBER = (
+    f'{WARNING}NOT executed, the machine file has no signal for {{}}; declare it under signals, '
+    'as digital_out_0, analog_out_0, digital_in_0'
+)
+#: What M62 to M68 lack, and M66.
+NO_SUCH_NUMBER = (
+    'give the number of the output as P, with M67 and M68 as E',
+    'give the number of the input as P, and what to wait for as L3 (on) or L4 (off)',
+)
 HARMLESS_G: dict[str, str] = {
     **dict.fromkeys(('G15', 'G13.1', 'G40.1', 'G54.2', 'G255'), 'nothing to switch off'),
     'G62': 'no effect, F is kept in corners, too',

@@ -78,7 +78,7 @@ def row(machine: Machine, distance: float, tolerance: float, count: int) -> str:
     proof = verify(files_of(plan), machine)
     time = float(plan.setpoints.time[-1])
     stops = sum(int(piece.path.stop[1:].sum()) for piece in plan.pieces) - 1
-    found = proof.largest('orientation error').value / MM
+    found = proof.largest('orientation deviation').value / MM
     told = plan.segments.deviation[:, 1].max() / MM
     verdict = 'yes' if proof.ok else f'NO: {proof.failures[0]}'
     return f'{time:.3f} | {time / THROUGH:.3f} | {stops} | {found:.4f} | {told:.4f} | {verdict}'

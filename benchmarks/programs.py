@@ -189,7 +189,7 @@ def plan_and_prove(part: Program, machine: Machine, result: dict[str, Any]) -> N
         del plan
         proof = verify_plan(Path(folder), machine)
     result['cycle_time'] += summary['cycle_time']
-    result['contour'] = max(result['contour'], summary['largest_contour_error'])
+    result['contour'] = max(result['contour'], summary['contour_deviation_bound'])
     if not proof.ok:
         result['failures'].extend(proof.failures[:3])
 

@@ -5,7 +5,7 @@ predicted from all of them, section by section.
 
     python benchmarks/run_times.py --suite ../shared/suites/nist-box --op5 FILE
 
-Start and stop of the spindle are taken as proportional to its speed, which is 12,000 rev/min in
+Start and stop of the spindle grow with the square of its speed, which is 12,000 rev/min in
 all that was measured. A section ends where its next tool change, or M30, begins: so the last one
 has no stop of the spindle. Where the machine stands first is not known: its first rapid takes no
 time.

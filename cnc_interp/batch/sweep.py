@@ -64,7 +64,7 @@ class Point:
 @dataclass(frozen=True)
 class Found:
     cycle_time: float | None = None  #: Time of the motion [s].
-    #: Largest error: the deepest cut into a surface, or the contour error of a plan [m].
+    #: Largest error: the deepest cut into a surface, or a plan's largest contour deviation [m].
     error: float | None = None
     #: Share of the time in which an axis is at a limit, by axis and kind [-].
     at_limit: dict[str, float] | None = None
@@ -101,7 +101,7 @@ def run_point(call: Call) -> Found:
     surface = next((summary[name] for name in SIMULATED if name in summary), None)
     shares, told = shares_at_limits(plan), collision_text(summary)
     if surface is None:
-        error = summary['largest_contour_error']
+        error = summary['contour_deviation_bound']
         return Found(summary['cycle_time'], error, shares, collision=told)
     deepest, ridge = max(0.0, -surface['lowest']), surface.get('ridge_highest')
     return Found(summary['cycle_time'], deepest, shares, scallop=ridge, collision=told)

@@ -85,8 +85,8 @@ def _planned(task: Task, processes: int) -> Row:
         '; '.join(proof.failures),
         setpoints=summary['samples'],
         **{name: summary[name] for name in SAME} | uses,
-        contour_used=proof.largest('contour error').ratio,
-        orientation_used=proof.largest('orientation error').ratio,
+        contour_used=proof.largest('contour deviation').ratio,
+        orientation_used=proof.largest('orientation deviation').ratio,
         notices=tuple(stream.notices) + ((told,) if (told := collision_text(summary)) else ()),
         plan_hash=digest,
     )

@@ -48,6 +48,10 @@ def estimate_command(options: argparse.Namespace) -> int:
         told = bar.of('planning')
         found = estimate(stream, machine, settings, options.workers, told, (feed, rapid))
     tell((*stream.read_as, *stream.notices))
+    if found.other_speeds:
+        speeds = ', '.join(f'{speed:g}' for speed in found.other_speeds)
+        measured = machine.standstill.speed
+        tell([f'start and stop of the spindle are known at {measured:g} rev/min, not at {speeds}'])
     print(json.dumps(found.to_json(), indent=2) if options.json else describe(found))
     return parser.FINE
 

@@ -167,11 +167,11 @@ def describe(summary: dict[str, Any]) -> str:
         lines.append(f'{name:<15}{values}')
     contour, orientation, height = (
         summary[key] / MM
-        for key in ('largest_contour_error', 'largest_orientation_error', 'flank_height')
+        for key in ('contour_deviation_bound', 'orientation_deviation_bound', 'flank_height')
     )
     used, curves = summary['tolerance_used'], summary['curves']
     lines.append(
-        f'deviation      contour {contour:.4f} mm, orientation {orientation:.4f} mm at '
+        f'deviation      at most contour {contour:.4f} mm, orientation {orientation:.4f} mm at '
         f'{height:g} mm; {used["contour"]:.0%} and {used["orientation"]:.0%} of the tolerances'
     )
     if error := summary['tool_error']:

@@ -41,12 +41,15 @@ CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
 PACE = {'velocity_jump_mm_per_s': (1e-3, 1e4), 'block_time_ms': (1e-3, 1e3)}
 STOPS = 'stops_at_rapids'
 SCATTER = 'scatter_percent'
-#: Times at which the path rests, with their units.
-STANDSTILL = {
-    'tool_change_s': 1.0,
-    'spindle_start_s_per_1000_rev_per_min': 1e-3,
-    'spindle_stop_s_per_1000_rev_per_min': 1e-3,
-}
+#: Times at which the path rests [s], and the speed at which those of the spindle were measured.
+CHANGE, START, STOP, REVERSAL, SPEED = STANDSTILL = (
+    'tool_change_s',
+    'spindle_start_s',
+    'spindle_stop_s',
+    'spindle_reversal_s',
+    'spindle_speed_rev_per_min',
+)
+USUAL_REVERSAL = 0.2  #: Of a spindle that taps, where the file does not say it [s].
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
 LOCKED_LIMITS = AxisLimits(1.0, 1.0, 1.0, (-1e-9, 1e-9))  #: No motion reaches them [rad, s].
 SAME_PLACE = 1e-9  #: A table of limits covers the travel up to this [m, rad].
@@ -107,20 +110,32 @@ def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
 
 @dataclass(frozen=True)
 class Standstill:
+    """Times at which the path rests; a spindle gains its energy at constant power."""
+
     tool_change: float = 0.0  #: [s]
-    #: Until the spindle turns, and until it rests [s per rev/min].
+    #: Until the spindle turns, and until it rests: per change of its squared speed [s/(rev/min)2].
     start: float = 0.0
     stop: float = 0.0
+    reversal: float = 0.0  #: Of a spindle that taps [s].
+    speed: float = 0.0  #: At which start and stop were measured [rev/min]; 0: nowhere.
 
 
 def standstill(content: dict[str, Any]) -> Standstill:
     given = section(content, 'standstill', STANDSTILL)
-    return Standstill(
-        *(
-            number(given[key], f'standstill.{key}', 1e-3, 3600.0) * unit if key in given else 0.0
-            for key, unit in STANDSTILL.items()
-        )
+    least = {SPEED: 1.0}
+    found = {
+        key: number(value, f'standstill.{key}', least.get(key, 1e-3), 1e6)
+        for key, value in given.items()
+    }
+    speed = found.get(SPEED, 0.0)
+    demand(
+        speed > 0.0 or not {START, STOP} & set(found),
+        'missing; the speed at which start and stop of the spindle were measured',
+        f'standstill.{SPEED}',
     )
+    start, stop = (found[key] / speed**2 if key in found else 0.0 for key in (START, STOP))
+    usual = USUAL_REVERSAL if given else 0.0
+    return Standstill(found.get(CHANGE, 0.0), start, stop, found.get(REVERSAL, usual), speed)
 
 
 @dataclass(frozen=True)

@@ -170,8 +170,8 @@ def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -
         position, block = plan.position[a:b], plan.block[a:b]
         deviation = measure(program, position, block)
         contour, top = program.tolerances(deviation)
-        ledger.judge('contour error', deviation.contour, contour, slack=SLACK, first=a)
-        ledger.judge('orientation error', deviation.orientation, top, slack=SLACK, first=a)
+        ledger.judge('contour deviation', deviation.contour, contour, slack=SLACK, first=a)
+        ledger.judge('orientation deviation', deviation.orientation, top, slack=SLACK, first=a)
         if program.lines is not None:
             beside = program.lines.improve(deviation, position, block)
             own = plan.blocks['contour_tolerance'][block]
@@ -320,7 +320,9 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
         tip, axis = program.transform.forward(q)
         deviation = measure_widely(program, tip, axis, rows, q)
         contour, _ = program.tolerances(deviation)
-        ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)
+        ledger.judge(
+            'contour deviation of path', deviation.contour, contour, slack=SLACK, rows=rows
+        )
 
 
 def with_beside(

@@ -36,11 +36,11 @@ from cnc_interp.report.series import (
 DEVIATIONS = {
     'contour': (
         'deviation between path and program at the tool tip',
-        ('contour error', 'contour error of path', 'vertex missed by tip'),
+        ('contour deviation', 'contour deviation of path', 'vertex missed by tip'),
     ),
     'orientation': (
         'deviation between path and program at the flank height',
-        ('orientation error', 'orientation error of path', 'vertex missed by top'),
+        ('orientation deviation', 'orientation deviation of path', 'vertex missed by top'),
     ),
 }
 NAMED = 3  #: Limits that the answer names.

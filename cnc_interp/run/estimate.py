@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -30,6 +31,8 @@ class Estimate:
     sections: list[ToolSection]
     stops: int  #: How often the program waits for the operator; that time is not known.
     scatter: float  #: That of the fit to recorded runs, as a share of the motion; 0: not known.
+    #: Speeds of the spindle at which its start and stop were not measured [rev/min].
+    other_speeds: tuple[float, ...] = ()
 
     @property
     def total(self) -> float:
@@ -38,8 +41,13 @@ class Estimate:
 
     @property
     def half_width(self) -> float:
-        """Half of the interval of 95 % of the total time [s]; 0: not known."""
-        return self.scatter * sum(one.times.cutting + one.times.rapid for one in self.sections)
+        """Half of the interval of 95 % of the total time [s]; 0: not known.
+
+        Times of the spindle at speeds at which they were not measured may be wrong by half.
+        """
+        motion = sum(one.times.cutting + one.times.rapid for one in self.sections)
+        spindle = sum(one.times.spindle for one in self.sections if self.other_speeds)
+        return math.hypot(self.scatter * motion, 0.5 * spindle)
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -48,6 +56,7 @@ class Estimate:
             'total_s': self.total,
             'half_width_s': self.half_width or None,
             'stops': self.stops,
+            'other_spindle_speeds': list(self.other_speeds),
             'tools': [one.to_json() for one in self.sections],
         }
 
@@ -70,4 +79,8 @@ def estimate(
     name = machine.file or machine.name
     sections = times.sections(stream.functions, machine, stream.source)
     scatter = 0.0 if machine.pace is None else machine.pace.scatter
-    return Estimate(stream.source, name, sections, times.stops + stream.waits_first, scatter)
+    measured = machine.standstill.speed
+    speeds = stream.functions.speeds(machine.signals) if measured else ()
+    others = tuple(float(speed) for speed in speeds if abs(speed - measured) > 0.1 * measured)
+    stops = times.stops + stream.waits_first
+    return Estimate(stream.source, name, sections, stops, scatter, others)

@@ -20,7 +20,16 @@ from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.machine_entries import SCATTER, STANDSTILL, BlockPace, Standstill
+from cnc_interp.machine_model.machine_entries import (
+    CHANGE,
+    SCATTER,
+    SPEED,
+    USUAL_REVERSAL,
+    BlockPace,
+    Standstill,
+)
+from cnc_interp.machine_model.machine_entries import START as START_TIME
+from cnc_interp.machine_model.machine_entries import STOP as STOP_TIME
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
 from cnc_interp.program.blocks import Blocks
@@ -375,8 +384,11 @@ class TimeFit:
         for run, motion in zip(self._runs, motions, strict=True):
             for number, value in run.rests(machine, motion):
                 rests[number].append(value)
-        means = (float(np.mean(rest)) if rest else 0.0 for rest in rests)
-        machine = replace(machine, standstill=Standstill(*means))
+        change, start, stop = (float(np.mean(rest)) if rest else 0.0 for rest in rests)
+        speeds = [run.program.functions.speeds(machine.signals) for run in self._runs]
+        speed = float(max(np.append(np.concatenate(speeds), 1.0)))
+        reversal = machine.standstill.reversal or USUAL_REVERSAL
+        machine = replace(machine, standstill=Standstill(change, start, stop, reversal, speed))
         assert machine.pace is not None
         parts = np.arange(0, len(off), CLUSTER)
         told = np.add.reduceat(off, parts) / np.add.reduceat(self._measured, parts)
@@ -395,8 +407,11 @@ class TimeFit:
         jump, time = 1e3 * machine.pace.jump, 1e3 * machine.pace.block_time
         values['look_ahead.velocity_jump_mm_per_s'] = (jump, jump * width[4])
         values['look_ahead.block_time_ms'] = (time, time * width[5])
-        for (key, unit), rest in zip(STANDSTILL.items(), rests, strict=True):
+        for key, unit, rest in zip(
+            (CHANGE, START_TIME, STOP_TIME), (1.0, speed**2, speed**2), rests, strict=True
+        ):
             if rest:
                 half = SIGMAS * np.std(rest, ddof=1) / np.sqrt(len(rest)) if rest[1:] else np.nan
-                values[f'standstill.{key}'] = (float(np.mean(rest)) / unit, half / unit)
+                values[f'standstill.{key}'] = float(np.mean(rest)) * unit, half * unit
+        values[f'standstill.{SPEED}'] = speed, np.nan
         return Fitted(machine, values, motions)

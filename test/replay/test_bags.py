@@ -225,7 +225,9 @@ def test_the_path_of_a_run_is_that_of_its_recorded_segments(tmp_path, capsys):
 
     copied(HELD, tmp_path / 'shifted', shift)
     assert main(['check', str(tmp_path / 'shifted')]) == 1
-    failures = [line for line in capsys.readouterr().out.splitlines() if 'contour error' in line]
+    failures = [
+        line for line in capsys.readouterr().out.splitlines() if 'contour deviation' in line
+    ]
     assert any('of path' in line and ' 1 mm' in line for line in failures), failures
 
 

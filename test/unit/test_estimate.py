@@ -15,8 +15,9 @@ limits:
 look_ahead: {velocity_jump_mm_per_s: 2.5, block_time_ms: 1.0, scatter_percent: 2.0}
 standstill:
   tool_change_s: 5.0
-  spindle_start_s_per_1000_rev_per_min: 0.5
-  spindle_stop_s_per_1000_rev_per_min: 0.25
+  spindle_start_s: 2.0
+  spindle_stop_s: 1.0
+  spindle_speed_rev_per_min: 4000
 """
 PROGRAM = """G21 G90 G94
 T3 M6
@@ -56,7 +57,7 @@ def test_times_by_tool_are_those_of_its_lines(place, capsys):
     assert (first['line'], first['tool']) == (2, 3) and (second['line'], second['tool']) == (11, 7)
     assert first['change_s'] == second['change_s'] == pytest.approx(5.0)
     assert first['dwell_s'] == pytest.approx(2.0)
-    assert first['spindle_s'] == pytest.approx(4 * 0.5 + 4 * 0.25)
+    assert first['spindle_s'] == pytest.approx(2.0 + 1.0)
     # 200 mm at 20 mm/s, 400 mm at 40 mm/s; reaching the feed takes less than 0.1 s of each
     assert first['cutting_s'] == pytest.approx(10.0 + 10.0, abs=0.2) and first['cutting_s'] > 20.0
     names = [(one['name'], one['line']) for one in first['operations']]
@@ -70,6 +71,17 @@ def test_times_by_tool_are_those_of_its_lines(place, capsys):
     assert found['total_s'] == pytest.approx(total) and found['stops'] == 1
     motion = sum(one['cutting_s'] + one['rapid_s'] for one in found['tools'])
     assert found['half_width_s'] == pytest.approx(0.02 * motion)
+
+
+def test_slow_spindles_start_sooner_and_taps_reverse_twice(place, capsys):
+    """At constant power the time grows with the square of the speed; each hole has two turns."""
+    lines = ['G21 G90 G94', 'T8 M6', 'S1000 M3', 'G0 X0 Y0 Z10', 'G98 G84 Z-7 R2 F1000']
+    (place / 'p.ngc').write_text('\n'.join([*lines, 'X10', 'X20', 'G80', 'M5', 'M30', '']))
+    found = estimate(place, capsys, '--dialect', 'fanuc')
+    (only,) = found['tools']
+    assert only['spindle_s'] == pytest.approx((2.0 + 1.0) / 16 + 3 * 2 * 0.2)
+    assert found['other_spindle_speeds'] == [1000.0]
+    assert found['half_width_s'] > 0.5 * only['spindle_s']
 
 
 def test_the_plan_files_tell_the_same(place, capsys):

@@ -471,8 +471,8 @@ def test_tool_changes_and_the_spindle_take_the_times_of_the_machine_file() -> No
     stream = ProgramStream(Source.of_text(text, 'p.ngc'), Transform.of(MACHINE), Settings())
     for _ in stream:
         pass
-    rests = stream.functions.standstill(MACHINE.signals, Standstill(5.0, 1e-3, 2e-3))
+    rests = stream.functions.standstill(MACHINE.signals, Standstill(5.0, 1e-6, 2e-6))
     by_line = np.bincount(stream.functions.line_number, rests, 13)
-    # Up by 6000 and 3000, down for the change, up to 9000, down by 6000 and to rest.
-    assert by_line[[1, 2, 4, 6, 7, 9, 10]] == pytest.approx([5, 6, 3, 23, 9, 12, 6])
-    assert by_line.sum() == pytest.approx(64.0)
+    # Up to 6000 and 9000, down for the change, up to 9000, down to 3000 and to rest: by squares.
+    assert by_line[[1, 2, 4, 6, 7, 9, 10]] == pytest.approx([5, 36, 45, 167, 81, 144, 18])
+    assert by_line.sum() == pytest.approx(496.0)

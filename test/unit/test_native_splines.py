@@ -411,7 +411,7 @@ def test_proof_sees_a_path_off_the_curve(tmp_path, what):
     columns[what][5] += 0.1 * MM  # one control point other than executed
     np.savez(file, **columns)
     proof = verify_plan(tmp_path, MACHINE)
-    word = 'contour error' if what == 'tip' else 'orientation error'
+    word = 'contour deviation' if what == 'tip' else 'orientation deviation'
     assert not proof.ok and any(word in failure for failure in proof.failures)
 
 

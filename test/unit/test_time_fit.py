@@ -24,8 +24,9 @@ limits:
 look_ahead: {{velocity_jump_mm_per_s: 2.5, block_time_ms: 25.0, stops_at_rapids: true}}
 standstill:
   tool_change_s: 5.0
-  spindle_start_s_per_1000_rev_per_min: 0.4
-  spindle_stop_s_per_1000_rev_per_min: 0.6
+  spindle_start_s: 2.4
+  spindle_stop_s: 3.6
+  spindle_speed_rev_per_min: 6000
 """
 GUESS = 'name: guess\nsignals: milling\nlimits: {{X: {0}, Y: {0}, Z: {0}}}\n'.format(
     LIMIT.format(20, 3.0, 40)

@@ -133,7 +133,7 @@ def test_contour_error_is_the_distance_from_the_lines(tmp_path):
     for height, ok in ((9.9 * UM, True), (10.1 * UM, False)):
         content['setpoints']['position'][:, 1] = height * ramp
         proof = verify(read_plan(write(tmp_path, content)), MACHINE)
-        assert proof.largest('contour error').value == pytest.approx(height, rel=1e-4)
+        assert proof.largest('contour deviation').value == pytest.approx(height, rel=1e-4)
         assert ('contour' in ' '.join(proof.failures)) is not ok
 
 
@@ -143,7 +143,7 @@ def test_the_smaller_tolerance_of_two_blocks_counts_at_their_vertex(tmp_path):
     x = content['setpoints']['position'][:, 0]
     middle = int(np.searchsorted(x, 29 * MM))
     content['setpoints']['position'][middle, 1] = 2 * UM
-    only_failure(proof_of(tmp_path, content), 'contour error', f'sample {middle} ', 'line 30')
+    only_failure(proof_of(tmp_path, content), 'contour deviation', f'sample {middle} ', 'line 30')
 
 
 def test_orientation_counts_at_flank_height(tmp_path):
@@ -155,9 +155,9 @@ def test_orientation_counts_at_flank_height(tmp_path):
     # The reference arm at X = x stays x in front of the table's rotation about X.
     content['setpoints']['position'][:, 0] = flat
     proof = proof_of(tmp_path, content)
-    assert proof.largest('contour error').value < 1e-9
-    assert proof.largest('orientation error').value == pytest.approx(HEIGHT * 5e-4, rel=1e-3)
-    only_failure(proof, 'orientation error')
+    assert proof.largest('contour deviation').value < 1e-9
+    assert proof.largest('orientation deviation').value == pytest.approx(HEIGHT * 5e-4, rel=1e-3)
+    only_failure(proof, 'orientation deviation')
 
 
 def test_a_cut_corner_misses_its_vertex(tmp_path):
@@ -275,7 +275,7 @@ def test_rotary_words_rule_a_pure_rotation(tmp_path):
     assert proof.ok, proof.failures
     vector = rotation(tilt, turn, ends)
     vector['blocks']['tip'] += shift
-    only_failure(proof_of(tmp_path, vector), 'orientation error')
+    only_failure(proof_of(tmp_path, vector), 'orientation deviation')
     worded['blocks']['rotary'] = np.array([ends[0], (15 * DEG, 450 * DEG)])
     only_failure(proof_of(tmp_path, worded), 'rotary word missed')
 
@@ -314,7 +314,7 @@ def test_a_worded_rotation_must_keep_to_its_linear_way(tmp_path):
     for way in ways.values():
         content = rotation(*way, ends, rotary=np.array(ends))
         content['blocks']['tip'] += content['path']['tip'][0] - content['blocks']['tip'][0]
-        only_failure(proof_of(tmp_path, content), 'orientation error')
+        only_failure(proof_of(tmp_path, content), 'orientation deviation')
 
 
 def test_a_timed_rotation_takes_its_time(tmp_path):
@@ -379,7 +379,7 @@ def test_the_planner_s_grid_is_looked_at(tmp_path):
         path['s'][300] = path['s'][302]
 
     assert spoil(lambda path: None).ok
-    only_failure(spoil(bulge), 'contour error of path')
+    only_failure(spoil(bulge), 'contour deviation of path')
     only_failure(spoil(tear), 'axes across path cells')
     only_failure(spoil(hurry), 'planned velocity of A')
     only_failure(spoil(turn_back), 's must increase')
@@ -411,7 +411,7 @@ def test_blocks_far_shorter_than_the_tolerance(tmp_path, monkeypatch):
     proof = proof_of(tmp_path, content)
     assert proof.ok, proof.failures
     monkeypatch.setattr('cnc_interp.proof.program_shapes.REACH', 0.0)
-    only_failure(verify_plan(tmp_path, MACHINE), 'contour error')
+    only_failure(verify_plan(tmp_path, MACHINE), 'contour deviation')
 
 
 def test_unreadable_files_are_named(tmp_path):

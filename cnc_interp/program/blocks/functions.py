@@ -15,6 +15,7 @@ from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, Signals
 
 STOP_SPINDLE = ('M5', 'M6', 'M2', 'M30')  #: Words after which it rests.
+TAP = 2  #: Rows of a tap in step with the spindle: into the hole, and back.
 Acting = tuple[int, float]  #: A step of a function, and the value of its output.
 
 
@@ -65,7 +66,7 @@ class Functions(Table):
     def standstill(self, signals: Signals, times: Standstill) -> FloatArray:
         """Return for how long the path rests for each of them, (n,) [s]."""
         first = {words.start: word for word, words in signals.words.items()}
-        rests, wanted, turning = np.zeros(len(self)), 0.0, 0.0
+        rests, wanted, turning, follows = np.zeros(len(self)), 0.0, 0.0, 0
         for k, (step, value) in enumerate(zip(self.step.tolist(), self.value, strict=True)):
             word = first.get(step)
             before = turning
@@ -75,10 +76,20 @@ class Functions(Table):
                 turning = wanted
             elif word in STOP_SPINDLE:
                 turning = 0.0
-            change = turning - before
-            rests[k] = times.start * change if change > 0.0 else -times.stop * change
+            elif word == FOLLOWS:
+                follows = int(self.block[k])
+            elif word == FREE and self.block[k] == follows + TAP:
+                rests[k] = 2.0 * times.reversal
+            change = turning**2 - before**2
+            rests[k] += times.start * change if change > 0.0 else -times.stop * change
             rests[k] += times.tool_change * (word == 'M6') + float(value) * (word == 'G4')
         return rests
+
+    def speeds(self, signals: Signals) -> FloatArray:
+        """Return the speeds that are programmed for the spindle, (k,) [rev/min]."""
+        word = signals.words.get('S')
+        found: FloatArray = np.unique(self.value[self.step == word.start] if word else [])
+        return found
 
     def from_row(self, row: int, signals: Signals) -> Functions:
         """Return the functions of a run from a row on; what still counts acts before it."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.planner_tuning import PlanOptions
     from cnc_interp.feedrate.planning_windows import plan_path
     from cnc_interp.kinematics.axis_path import evaluate
-    from cnc_interp.library import Plan, axis_path_from, check, plan_program, smooth_path
+    from cnc_interp.library import Plan, axis_path_from, check, plan, plan_program, smooth_path
     from cnc_interp.machine.simulated_drives import simulate
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.machine_model.transform_port import Transform
@@ -42,6 +42,7 @@ __all__ = [
     'check',
     'evaluate',
     'iso_scallop_paths',
+    'plan',
     'plan_path',
     'plan_program',
     'read_program',
@@ -59,7 +60,7 @@ _HOMES = {
     'feedrate.motion_law': 'axis_motion',
     'feedrate.planner_tuning': 'PlanOptions',
     'kinematics.axis_path': 'evaluate',
-    'library': 'Plan axis_path_from check plan_program smooth_path',
+    'library': 'Plan axis_path_from check plan plan_program smooth_path',
     'machine.simulated_drives': 'simulate',
     'machine_model.machine': 'Machine',
     'machine_model.transform_port': 'Transform',
@@ -77,3 +78,6 @@ if not TYPE_CHECKING:  # else any name would be one
                 found = globals()[name] = getattr(import_module(f'cnc_interp.{home}'), name)
                 return found
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from cnc_interp.core import FloatArray, InterpError
+from cnc_interp.core import DEG, MM, MS, FloatArray, InterpError
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.reading import Program
+from cnc_interp.program.reading import Program, read_program, read_text
 from cnc_interp.proof.plan_files import BLOCK_COLUMNS, PlanFiles
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
@@ -22,12 +24,13 @@ from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.run.planning_chain import Chain, at_fault, no_motion
 from cnc_interp.run.setpoints import Setpoints
-from cnc_interp.settings.options import Settings
+from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
 
 if TYPE_CHECKING:
     from cnc_interp.collision.path_clearance import Certificates
 
+COLOURS = '#2a6fb0', '#c8553d', '#3f8f5b', '#8b5fb0', '#b8902b', '#5b6b78'  #: Of axes in figures.
 DEGREE = 5  #: q_ss and q_sss are continuous, as a motion within jerk limits needs.
 
 
@@ -92,7 +95,7 @@ class Kept:
         self.certificates = self.clear.append
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plan:
     """A planned program."""
 
@@ -105,6 +108,94 @@ class Plan:
     #: rad, per s, ...]; ``block``, ``line`` (K,), ``s`` (K,) [m].
     setpoints: Setpoints
     planning_time: dict[str, float]  #: Seconds of each stage.
+
+    def __repr__(self) -> str:
+        """Say what was planned, and how long it takes."""
+        count, period = len(self.setpoints), self.settings.interpolation_period / MS
+        return (
+            f'<Plan of {self.program.source or "blocks"} on {self.machine.name}: '
+            f'{self.cycle_time:.3f} s, {self.length / MM:.1f} mm, '
+            f'{count} setpoints every {period:g} ms>'
+        )
+
+    @property
+    def cycle_time(self) -> float:
+        """Time of the motion [s]."""
+        return float(self.pieces[-1].law.end_time)
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(self.setpoints.s[-1])
+
+    def check(self) -> Proof:
+        """Prove the setpoints; see ``cnc_interp.check``."""
+        return check(self)
+
+    def plot(self) -> Any:
+        """Return a figure of plotly: positions, and the use of the limits, over the time."""
+        from plotly.subplots import make_subplots
+
+        heads = 'position [mm, deg]', 'velocity, share of its limit', 'jerk, share of its limit'
+        figure = make_subplots(rows=3, cols=1, shared_xaxes=True, subplot_titles=heads)
+        machine, told = self.machine, self.setpoints
+        rows = (
+            told.position / [MM if axis.linear else DEG for axis in machine.axes],
+            told.velocity / machine.max_velocity,
+            told.jerk / machine.max_jerk,
+        )
+        for row, values in enumerate(rows, 1):
+            for k, name in enumerate(machine.axis_names):
+                curve = {'x': told.time, 'y': values[:, k], 'name': name, 'legendgroup': name}
+                look = {'line': {'color': COLOURS[k % len(COLOURS)]}, 'showlegend': row == 1}
+                figure.add_scatter(**curve, **look, row=row, col=1)
+        figure.update_xaxes(title_text='time [s]', row=3)
+        return figure
+
+
+def plan(
+    program: str | Path | Program, machine: str | Path | Machine = DEFAULT_MACHINE, **settings: Any
+) -> Plan:
+    """Plan a program to setpoints that keep every limit.
+
+    Parameters
+    ----------
+    program : str, Path or Program
+        G-code or CL data as text, the path of such a file, or what ``read_text`` returns.
+    machine : str, Path or Machine
+        Name of a bundled machine, or the path of a machine file.
+    **settings
+        Fields of ``Settings`` [SI], as ``contour_tolerance=1e-5``.
+
+    Raises
+    ------
+    InterpError
+        The program cannot be read, nothing moves, or the machine cannot follow.
+    TypeError
+        An argument is of another type, or no field of ``Settings``.
+
+    """
+    if isinstance(machine, str | Path):
+        machine = Machine.load(str(machine))
+    if not isinstance(machine, Machine):
+        given = type(machine).__name__
+        raise TypeError(f'machine must be a name, the path of a file or a Machine, not {given}')
+    known = [field.name for field in fields(Settings)]
+    if unknown := sorted(set(settings) - set(known)):
+        near = get_close_matches(unknown[0], known, 1)
+        hint = f'; did you mean {near[0]}?' if near else '; help(cnc_interp.Settings) has all'
+        raise TypeError(f'{unknown[0]} is no setting{hint}')
+    chosen, geometry = Settings(**settings), Transform.of(machine)
+    if isinstance(program, Path) or (
+        isinstance(program, str) and '\n' not in program and Path(program).is_file()
+    ):
+        program = read_program(Path(program), geometry, chosen)
+    elif isinstance(program, str):
+        program = read_text(program, 'text', geometry, chosen)
+    if not isinstance(program, Program):
+        given = type(program).__name__
+        raise TypeError(f'program must be text, the path of a file or a Program, not {given}')
+    return plan_program(program, machine, chosen)
 
 
 def plan_program(program: Program, machine: Machine, settings: Settings | None = None) -> Plan:

@@ -3,6 +3,7 @@ Clearances: random scenes with a known result, certificates, and programs with c
 
     python benchmarks/collision.py --quick      # a seeded share of the scenes, at most two minutes
     python benchmarks/collision.py              # 1,000 hits, 1,000 clear scenes, four programs
+    python benchmarks/collision.py --scenes 1000  # the scenes alone
     python benchmarks/collision.py --programs   # the programs alone
     python benchmarks/collision.py --stock      # volumes of the stock, and segments per second
 
@@ -40,22 +41,14 @@ from collision_cases import (
 )
 
 from cnc_interp.collision.clearance import descend
+from cnc_interp.collision.cutting import CUT, in_field, pass_over
 from cnc_interp.collision.enclosure import position
 from cnc_interp.collision.hits import apart
 from cnc_interp.collision.link_poses import pose_links
 from cnc_interp.collision.mill_sweep import slabs_of
+from cnc_interp.collision.motions import AXIS, MOTION, MOVE, TIP
 from cnc_interp.collision.scene_file import read_scene
-from cnc_interp.collision.stock import (
-    AXIS,
-    CUT,
-    MOTION,
-    MOVE,
-    TIP,
-    field_of,
-    in_field,
-    pass_over,
-    volume,
-)
+from cnc_interp.collision.stock import field_of, volume
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.clearance import links_of
@@ -328,7 +321,7 @@ def stock():
     still = np.zeros((1, MOTION))
     still[0, AXIS + 2] = 1.0
     made = field_of(block, 0, 4e-4, True)
-    pass_over(made, slabs_of(mills[0]), still[0], 4e-5, (0, 1, 0, 1), CUT)  # compiles
+    pass_over(made, slabs_of(mills[0]), still[0], 4e-5, 0, CUT)  # compiles
     for name, mill, width in zip(('flat', 'ball', 'bull'), mills, layer, strict=True):
         radii = np.array([width(z) for z in heights])
         exact = (20.0 * 2.0 * radii + np.pi * radii**2).mean() * 3.0
@@ -343,9 +336,9 @@ def stock():
             for axis in range(3):
                 made = field_of(block, axis, grid, True)
                 before, begun = volume(made), time.process_time()
-                window = 0, made.used.shape[0], 0, made.used.shape[1]
+                made.wanted[:] = 1
                 for row in in_field(made, rows):
-                    pass_over(made, slabs_of(mill), row, 0.1 * grid, window, CUT)
+                    pass_over(made, slabs_of(mill), row, 0.1 * grid, 0, CUT)
                 seconds = time.process_time() - begun
                 errors.append((before - volume(made)) * 1e9 / exact - 1.0)
             told = ''.join(f'{error:>+10.3%}' for error in errors)
@@ -357,7 +350,7 @@ def main():
     parser.add_argument('--quick', action='store_true', help='a seeded share, two minutes at most')
     parser.add_argument('--programs', action='store_true', help='the programs alone')
     parser.add_argument('--stock', action='store_true', help='volumes and speed of the stock')
-    parser.add_argument('--scenes', type=int, default=1000, help='scenes of each kind (1000)')
+    parser.add_argument('--scenes', type=int, help='scenes alone, so many of each kind')
     options = parser.parse_args()
     if options.stock:
         stock()
@@ -368,13 +361,13 @@ def main():
     judge(Counts(), 0, True)  # compiles the kernels
     counts, begun = Counts(), time.monotonic()
     number, budget = 0, 75.0 if options.quick else float('inf')
-    wanted = min(options.scenes, 200) if options.quick else options.scenes
+    wanted = options.scenes or (200 if options.quick else 1000)
     while min(counts.scenes.values()) < wanted and time.monotonic() - begun < budget:
         for hits in (True, False):
             if counts.scenes['hit' if hits else 'clear'] < wanted:
                 judge(counts, number, hits)
         number += 1
-    if not options.quick:
+    if not (options.quick or options.scenes):
         programs()
         stock()
     share = counts.wrong['clear'] / max(counts.scenes['clear'], 1)

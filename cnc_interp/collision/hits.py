@@ -24,7 +24,9 @@ from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine, place_text
 
 BETTER = 1e-9  #: A direction that adds less to a depth is no better [m].
-PLACES = 33  #: Places along a hit at which its depth is measured.
+PLACES = 33  #: Places along a hit at which distances are measured, evenly and from its begin on.
+FIRST_PLACE = 1e-5  #: Path length from the begin of a hit to the next place [m].
+DEPTHS = 5  #: Places among those at which the depth of overlapping pieces is measured, at most.
 DIRECTIONS = 200  #: Directions in which the depth of overlapping pieces is tried at first.
 
 
@@ -51,7 +53,9 @@ class Hit:
     #: Names of both pieces, and of the bodies that they belong to.
     names: tuple[str, str]
     bodies: tuple[str, str]
-    short: float  #: By how much the bodies come nearer than their clearance there [m].
+    #: By how much both pieces come nearer than their clearance in the rest of the line, at least
+    #: at the places that ``least_apart`` looks at [m].
+    short: float
     s: float  #: Path length where they first do [m].
     q: tuple[float, ...]  #: Axis positions there [m, rad].
     material: bool = False  #: It enters remaining material, on so long a way.
@@ -117,20 +121,39 @@ def _along(space: Space, a: int, b: int, rel: FloatArray, n: tuple[float, float,
 
 
 @njit(cache=True, nogil=True)
-def least_apart(
-    space: Space, route: Route, a: int, b: int, begin: float, end: float, places: int
-) -> float:
-    """Return the least distance of two pieces at places along a stretch of the path [m]."""
+def least_apart(space: Space, route: Route, a: int, b: int, begin: float, end: float) -> float:
+    """Return the least distance of two pieces at places of a stretch [m]; below 0: their depth.
+
+    Half of the places are even, and half come nearer and nearer to the begin, so that a contact
+    that is short for its line is measured, too.
+    """
     pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
-    q, s, least = np.empty(route.bezier.shape[1]), route.s, 1e300
-    for k in range(places):
-        at = begin + (end - begin) * k / (places - 1)
-        after = int(np.searchsorted(s, at, 'right'))
-        cell = max(min(after - 1, len(s) - 2), 0)
-        position(route.bezier, cell, (at - s[cell]) / (s[cell + 1] - s[cell]), q)
-        pose_links(space.chain, q, pose)
+    q, out, least = np.empty(route.bezier.shape[1]), np.empty(9), 1e300
+    within, count, way = np.empty(2 * PLACES), 0, end - begin
+    for k in range(2 * PLACES):
+        share = (k // 2) / (PLACES - 1)
+        if k % 2 and way > FIRST_PLACE:
+            share = (FIRST_PLACE / way) ** (1.0 - share)
+        within[count] = begin + way * share
+        pose_at(space, route, within[count], q, pose)
+        relative_pose(pose[space.pieces.link[b]], pose[space.pieces.link[a]], rel)
+        distance = nearest(space.pieces, a, b, rel, out)
+        least, count = min(least, distance), count + (distance == 0.0)
+    places = np.sort(within[:count])
+    for k in range(min(count, DEPTHS)):
+        at = places[(2 * k + 1) * count // (2 * min(count, DEPTHS))]
+        pose_at(space, route, at, q, pose)
         least = min(least, apart(space, a, b, pose, rel))
     return least
+
+
+@njit(cache=True, nogil=True)
+def pose_at(space: Space, route: Route, at: float, q: FloatArray, pose: FloatArray) -> None:
+    """Write the axis positions at a path length, and the poses of all links."""
+    s = route.s
+    cell = max(min(int(np.searchsorted(s, at, 'right')) - 1, len(s) - 2), 0)
+    position(route.bezier, cell, (at - s[cell]) / (s[cell + 1] - s[cell]), q)
+    pose_links(space.chain, q, pose)
 
 
 @njit(cache=True, nogil=True)
@@ -163,8 +186,7 @@ def nearest_along(
     q, out, pieces = np.empty(route.bezier.shape[1]), np.empty(9), space.pieces
     found, where = -1, -1
     for cell in cells:
-        position(route.bezier, cell, 0.0, q)
-        pose_links(space.chain, q, pose)
+        pose_at(space, route, route.s[cell], q, pose)
         for row in range(len(roots)):
             waiting = [(roots[row, 0], roots[row, 1])]
             while waiting:

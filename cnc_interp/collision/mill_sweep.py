@@ -27,6 +27,10 @@ TINY = 1e-12  #: A direction with less is normal to another one [-].
 FLAT = 1e-6  #: Share of a translation below which it lies in the plane of a disc [-].
 #: Columns of a slab, heights from the tip: 1 of a ball, lower height and radius, upper ones [m].
 BALL, Z0, R0, Z1, R1, SLAB = 0, 1, 2, 3, 4, 5
+#: A flat strip: where its generator begins, from the middle of the base; the inverse of what its
+#: share and that of the motion do in u and v; and how far the generator goes along w.
+Strip = tuple[float, float, float, float, float, float, float, float]
+NOWHERE = (FAR, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)  #: A strip that no line meets.
 
 
 def slabs_of(body: Body, grown: float = 0.0) -> FloatArray:
@@ -188,8 +192,7 @@ def swept(
     a: tuple[float, float, float],
     slab: tuple[float, float, float, float],
     v: tuple[float, float, float],
-    strips: FloatArray,
-    count: int,
+    strips: tuple[Strip, Strip],
 ) -> tuple[float, float]:
     """Return the interval of a line along w that a moving slab sweeps, from w of its base [m].
 
@@ -211,12 +214,11 @@ def swept(
     if r1 > 0.0:
         one, other = _disc(du - height * a[0], dv - height * a[1], a, r1, v)
         low, high = min(low, one + height * a[2]), max(high, other + height * a[2])
-    for k in range(count):
-        row = strips[k]
-        x, y = du - row[0], dv - row[1]
-        share, side = x * row[3] + y * row[4], x * row[5] + y * row[6]
+    for strip in strips:
+        x, y = du - strip[0], dv - strip[1]
+        share, side = x * strip[3] + y * strip[4], x * strip[5] + y * strip[6]
         if share >= 0.0 and share <= 1.0 and side >= -1.0 and side <= 1.0:
-            t = row[2] + share * row[7] + side * v[2]
+            t = strip[2] + share * strip[7] + side * v[2]
             low, high = min(low, t), max(high, t)
     return low, high
 
@@ -226,35 +228,27 @@ def strips_of(
     a: tuple[float, float, float],
     slab: tuple[float, float, float, float],
     v: tuple[float, float, float],
-    out: FloatArray,
-) -> int:
-    """Write the flat strips between both ends of the motion, (2, 8); return their number.
-
-    A row: where the generator begins, from the middle of the base; the inverse of what its share
-    and that of the motion do in u and v; and how far the generator goes along w.
-    """
+) -> tuple[Strip, Strip]:
+    """Return the flat strips between both ends of the motion."""
     ball, r0, r1, height = slab
     along = v[0] * a[0] + v[1] * a[1] + v[2] * a[2]
     x, y, z = v[0] - along * a[0], v[1] - along * a[1], v[2] - along * a[2]
     across = sqrt(x * x + y * y + z * z)
     slope = (r1 - r0) / height if ball < 0.5 else 0.0
     if ball > 0.5 or across <= abs(slope * along) or across == 0.0:
-        return 0
+        return NOWHERE, NOWHERE
     x, y, z = x / across, y / across, z / across
-    bx, by, bz = a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x
+    b = a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x
     fore = slope * along / across
-    turn, count = sqrt(1.0 - fore * fore), 0
+    turn, found = sqrt(1.0 - fore * fore), (NOWHERE, NOWHERE)
     for side in (turn, -turn):
-        ex, ey, ez = fore * x + side * bx, fore * y + side * by, fore * z + side * bz
+        ex, ey, ez = fore * x + side * b[0], fore * y + side * b[1], fore * z + side * b[2]
         gx = height * a[0] + (r1 - r0) * ex
         gy = height * a[1] + (r1 - r0) * ey
         gz = height * a[2] + (r1 - r0) * ez
         det = gx * v[1] - gy * v[0]
-        if abs(det) < TINY * height * across:
-            continue
-        row = out[count]
-        row[0], row[1], row[2] = r0 * ex, r0 * ey, r0 * ez
-        row[3], row[4], row[5], row[6] = v[1] / det, -v[0] / det, -gy / det, gx / det
-        row[7] = gz
-        count += 1
-    return count
+        if abs(det) >= TINY * height * across:
+            shares = v[1] / det, -v[0] / det, -gy / det, gx / det
+            strip = r0 * ex, r0 * ey, r0 * ez, shares[0], shares[1], shares[2], shares[3], gz
+            found = strip, found[0]
+    return found

@@ -12,7 +12,6 @@ import numpy as np
 from cnc_interp.collision.clearance import Found, Route, Space, descend
 from cnc_interp.collision.enclosure import DEGREE, bezier_table
 from cnc_interp.collision.hits import (
-    PLACES,
     CollisionError,
     Hit,
     bodies_apart,
@@ -357,7 +356,7 @@ class PathClearance:
         for (begin, end, *_), (a, b) in zip(found.hit, found.hit_pair, strict=True):
             cell = min(int(np.searchsorted(route.s, begin, 'right')) - 1, len(lines) - 1)
             bodies = int(self.placed.pieces.body[a]), int(self.placed.pieces.body[b])
-            near = least_apart(self._space, route, a, b, begin, end, PLACES)
+            near = least_apart(self._space, route, a, b, begin, end)
             short = float(self.placed.clearance[bodies] - near)
             names = self.placed.piece_name(int(a)), self.placed.piece_name(int(b))
             names_of = self.scene.bodies[bodies[0]].name, self.scene.bodies[bodies[1]].name

@@ -6,17 +6,22 @@ along three directions. Marching tetrahedra make closed triangles of that.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from cnc_interp.collision.follow import CutStock
 from cnc_interp.collision.mill_sweep import FAR
+from cnc_interp.collision.motions import BEGIN, END, REMOVED, part_of
 from cnc_interp.collision.scene import Body
-from cnc_interp.collision.stock import Field, crossings, lines
+from cnc_interp.collision.stock import Field, crossings, field_of, lines
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
 #: Nodes are no nearer to the surface, as a share of the grid, so that corners do not coincide [-].
 APART = 0.01
+NODES = 100_000  #: Of the grid for drawings, about.
+SMALLEST = 1e-15  #: Volume that is not divided [m3].
 #: A cube in six tetrahedra around its diagonal; corner k lies at (k & 1, k >> 1 & 1, k >> 2).
 TETRAHEDRA = (0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)
 #: Edges of a tetrahedron that cross the surface, three for each triangle, by the number of its
@@ -33,8 +38,38 @@ def stock_triangles(stock: CutStock) -> FloatArray:
 
     Corners run counter-clockwise seen from outside.
     """
-    size, depths = stock.pitch, []
-    fields = [stock.field_along(axis) for axis in range(3)]
+    return _surface([stock.field_along(axis) for axis in range(3)])
+
+
+def stages_of(stock: CutStock, count: int) -> Iterator[tuple[float, FloatArray]]:
+    """Yield path lengths, and coarsely what is left there after about equal shares are cut."""
+    low, high = stock.body.bounds()
+    size = max(stock.pitch, float(np.cbrt((high - low).prod() / NODES)))
+    fields = [field_of(stock.body, axis, size, shifted=False) for axis in range(3)]
+    yield -np.inf, _surface(fields)
+    rows = _divided(stock.rows, stock.rows[:, REMOVED].sum() / count)
+    removed = np.cumsum(rows[:, REMOVED])
+    shares = np.linspace(0.0, 1.0, count + 1)[1:] * removed[-1:].sum()
+    for last in np.unique(np.searchsorted(removed, shares).clip(0, len(removed) - 1) + 1):
+        fields = [stock.cut(field, rows[:last]) for field in fields]
+        yield float(rows[last - 1, END]), _surface(fields)
+
+
+def _divided(rows: FloatArray, most: float) -> FloatArray:
+    """Divide pieces of motion into parts that remove no more than so much [m3], about."""
+    count = np.ceil(rows[:, REMOVED] / max(most, SMALLEST)).clip(1.0).astype(int)
+    found, at = np.empty((count.sum(), rows.shape[1])), 0
+    for row, parts in zip(rows, count.tolist(), strict=True):
+        ends = np.linspace(row[BEGIN], row[END], parts + 1)
+        for k in range(parts):
+            part_of(row, ends[k], ends[k + 1], found[at])
+            found[at, REMOVED] /= parts
+            at += 1
+    return found
+
+
+def _surface(fields: list[Field]) -> FloatArray:
+    size, depths = float(fields[0].place[2]), []
     low = np.array([fields[axis - 1].place[0] for axis in range(3)])
     for axis, field in enumerate(fields):
         depth = np.full((*field.used.shape, fields[axis - 1].used.shape[0]), -FAR)

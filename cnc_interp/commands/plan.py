@@ -33,6 +33,13 @@ def add_plan_command(commands: Any) -> None:
         option('--out', 'folder for the plan files', Path, 'DIR', required=True),
         flag('--look', 'draw the feed profile in text, as a terminal always gets it'),
         flag('--save-stock', 'write the stock that is left as stock.stl among the plan files'),
+        option(
+            '--stock-stages',
+            'write stock_stages.npz: what is left of the stock at so many places of the path',
+            int,
+            'N',
+            default=0,
+        ),
         *(
             option(
                 f'--place-{axis.lower()}',
@@ -83,9 +90,8 @@ def plan_command(options: argparse.Namespace) -> int:
     read_as: tuple[str, ...] = ()
     try:
         told, workers = progress.of('planning'), options.workers
-        summary = plan_to_files(
-            stream, machine, options.out, settings, told, workers, options.save_stock
-        )
+        drawn = options.save_stock, options.stock_stages
+        summary = plan_to_files(stream, machine, options.out, settings, told, workers, *drawn)
         read_as = stream.read_as  # a refusal is one line
     finally:
         progress.end(complete=False)

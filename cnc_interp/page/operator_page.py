@@ -383,6 +383,7 @@ class Page:
                 self._view.show_path(desk.tube_number, job.plan)
                 if desk.shown_plan(state) is not None:
                     self._view.show_done(desk.drawn_until(state.path_position))
+                    self._view.show_stage(job.plan.stage_at(state.path_position))
                 unit = self._unit.now
                 top = unit.per_minute(job.plan.usual_feed)
                 if self._changed('scale', f'0 to {top:.0f} {unit.name}/min, planned feed'):

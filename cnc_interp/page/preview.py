@@ -9,7 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from cnc_interp.settings.command_line import command_words
 from cnc_interp.settings.options import Settings
 
 DRAWN = 20000  #: Largest number of points drawn.
+STAGES = 24  #: Of the stock, while it is cut.
 PROGRESS = re.compile(r'\w+ \d+%.*')  #: A line of progress of a command.
 NOTE = re.compile(r'note: |line \d+: .*' + WARNING)  #: A line about the program.
 STRANGE = re.compile(r'[^\w .,()+#-]')  #: Characters that the name of a program does not keep.
@@ -68,6 +69,9 @@ class Preview:
     notices: tuple[str, ...] = ()  #: What had no effect or was simplified.
     hits: tuple[PlannedHit, ...] = ()  #: What the program hits, in a plan with a scene.
     bound: str = ''  #: The least time that any motion takes, in words.
+    #: What is left of the stock, an STL file each, from these path lengths on [m].
+    stages: tuple[bytes, ...] = ()
+    stage_from: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def length(self) -> float:
@@ -87,6 +91,10 @@ class Preview:
             time=float(np.interp(s, self.s, self.time)),
             block_end=float(self.block_end[k]),
         )
+
+    def stage_at(self, s: float) -> int:
+        """Return the number of the stage of the stock at a path length [m]; -1 without one."""
+        return int(np.searchsorted(self.stage_from, s, 'right')) - 1
 
     @staticmethod
     def read(directory: Path, notices: tuple[str, ...] = ()) -> Preview:
@@ -120,7 +128,17 @@ class Preview:
             ),
             bound=bound_text(summary),
             **columns,
+            **(_stages(directory) if summary.get('collision', {}).get('stock') else {}),
         )
+
+
+def _stages(directory: Path) -> dict[str, Any]:
+    from cnc_interp.collision.mesh_file import stl_of  # loaded with a stock only
+
+    with np.load(directory / 'stock_stages.npz') as file:
+        parts = np.split(file['corners'], np.cumsum(file['triangles'])[:-1])
+        stages = tuple(stl_of(corners, 'cnc_interp, metres') for corners in parts)
+        return {'stages': stages, 'stage_from': file['s']}
 
 
 def thinned(count: int) -> IntArray:
@@ -158,6 +176,7 @@ class Planner:
         fine: tuple[int, ...] = (0,)
         if settings.scene is not None:  # planned in any case: the page shows what hits
             settings, fine = replace(settings, collision='warn'), (0, 1)
+            words += ['--stock-stages', str(STAGES)]
         _, said = await self._run([*words, *command_words(settings)], see_progress, fine)
         notes = [line.removeprefix('note: ') for line in said if NOTE.match(line)]
         # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.

@@ -114,6 +114,9 @@ class MachineView:
         self._hidden: list[Any] = []
         self._carriers: list[tuple[Any, urdf.Colour]] = []  # what carries the tool, and the tool
         self._bodies: list[tuple[Any, DrawnBody]] = []
+        self._uncut: list[Any] = []  # the stock before the program
+        self._cut: Any = None
+        self._stage = -1
         self._hit: tuple[str, ...] = ()
         self._tool = 0
         joints = {joint.child: joint.parent for joint in description.joints}
@@ -158,6 +161,9 @@ class MachineView:
         colour = urdf.colour_of(body)
         found = self._scene.stl(f'/body/{number}.stl').material(css(colour), colour[3])
         self._bodies.append((found, body))
+        if body.role.name == 'STOCK':
+            self._uncut.append(found)
+            self._stock = self._scene.group()
         if body.link in MACHINE_LINKS and body.link != links.WORKPIECE:
             self._hidden.append(found.visible(False))
         elif body.link in self._tool_side:
@@ -168,6 +174,20 @@ class MachineView:
         if (hit, tool) == (self._hit, self._tool):
             return
         self._hit, self._tool = hit, tool
+        self._paint()
+
+    def show_stage(self, stage: int) -> None:
+        """Show a stage of the stock while the program cuts it; -1: the uncut stock."""
+        if stage == self._stage:
+            return
+        self._stage = stage
+        if self._cut is not None:
+            self._cut.delete()
+            self._cut = None
+        if stage >= 0 and self._uncut:
+            with self._scene, self._stock:
+                self._cut = self._scene.stl(f'/stock/{self._shown}/{stage}.stl')
+            self._cut.material(css(urdf.STOCK), urdf.STOCK[3])
         self._paint()
 
     def _add(self, shape: urdf.Shape) -> Any:
@@ -210,6 +230,8 @@ class MachineView:
             self._path = self._scene.group()
         self._done = 0
         self._draw_path()
+        self._stage = -1
+        self.show_stage(plan.stage_at(-np.inf))
         self._extent = plan.tip.min(axis=0), plan.tip.max(axis=0)
         self._show_triad()
         self.look_at_part(self._of_part)
@@ -227,6 +249,7 @@ class MachineView:
             self._path.delete()
             self._path = None
         self._shown = -1
+        self.show_stage(-1)
 
     def show_zero(self, place: FloatArray, turn: float) -> None:
         """Show the axes of the workpiece at the zero of the work offset [m], turned [rad]."""
@@ -325,6 +348,7 @@ class MachineView:
             found.material(css(colour), SEE_THROUGH if of_part else colour[3])
         for found, body in self._bodies:
             here, hits = body.tool in (0, self._tool), body.name in self._hit
+            here &= found not in self._uncut or self._cut is None
             there = found not in self._hidden or not of_part or hits
             found.visible(here and there)
             if hits:

@@ -145,6 +145,13 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
             return Response(status_code=404)
         return Response(desk.bodies[number].stl(), media_type='model/stl')
 
+    @app.get('/stock/{number}/{stage}.stl')
+    def stock(number: int, stage: int) -> Response:
+        plan = desk.job.plan if desk.job is not None else None
+        if plan is None or number != desk.tube_number or not 0 <= stage < len(plan.stages):
+            return Response(status_code=404)
+        return Response(plan.stages[stage], media_type='model/stl')
+
     @app.get('/program/{number}.txt')
     def program(number: int) -> Response:
         job = desk.job

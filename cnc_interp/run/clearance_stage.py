@@ -208,6 +208,20 @@ class ClearanceStage:
         content = stl_of(stock_triangles(self.clearance.stock) / MM, 'stock in mm')
         (directory / 'stock.stl').write_bytes(content)
 
+    def save_stages(self, directory: Path, count: int) -> None:
+        """Write about so many stages of the stock for drawings; see ``stages_of``."""
+        if self.clearance.stock is None or not count:
+            return
+        from cnc_interp.collision.rest import stages_of
+
+        places, surfaces = zip(*stages_of(self.clearance.stock, count), strict=True)
+        np.savez_compressed(
+            directory / 'stock_stages.npz',
+            s=np.array(places),
+            triangles=np.array([len(found) for found in surfaces]),
+            corners=np.concatenate(surfaces).astype(np.float32),
+        )
+
     def stock_columns(self) -> dict[str, dict[str, Any]]:
         """Return the columns of the plan files about the stock; empty without one."""
         if self.clearance.stock is None:

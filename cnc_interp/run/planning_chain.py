@@ -131,12 +131,13 @@ def plan_to_files(
     progress: Callable[[float], None] = lambda _: None,
     processes: int = 1,
     save_stock: bool = False,
+    stages: int = 0,
 ) -> dict[str, Any]:
     """Plan a program while it is read and write its plan files; memory does not grow with it.
 
     ``progress``: told the share that has been planned; ``processes``: how many plan motion, to the
-    same files; ``save_stock``: write the stock that is left, too. Returns the summary in SI units,
-    or raises InterpError.
+    same files; ``save_stock``: write the stock that is left, too; ``stages``: so many drawings of
+    it while it is cut. Returns the summary in SI units, or raises InterpError.
     """
     settings = settings or Settings()
     start, geometry = None, Transform.of(machine)
@@ -150,6 +151,7 @@ def plan_to_files(
                 writer.stock(chain.clearance.stock_columns())
                 if save_stock:
                     chain.clearance.save_stock(directory)
+                chain.clearance.save_stages(directory, stages)
             writer.functions = stream.functions
             writer.figures.waits_first = stream.waits_first
             if start is not None:

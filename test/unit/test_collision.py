@@ -288,5 +288,23 @@ def test_how_deep_two_bodies_overlap():
     tip = rotation.T @ (link_pose(machine, 'tool_tip', q)[1] - place)
     ball, wall = shapes.hull(np.zeros((1, 3)), 0.005), shapes.box(-np.ones(3), np.ones(3))
     space = space_of(machine, [ball, moved(wall, tip - [0, 0, 0.998])], ['tool_tip', 'workpiece'])
-    depth = least_apart(space, route_of(path), 0, 1, path.s[0], path.s[0] + 1e-9, 2)
+    depth = least_apart(space, route_of(path), 0, 1, path.s[0], path.s[0] + 1e-9)
     assert depth == pytest.approx(-0.007, abs=1e-6)
+
+
+def test_a_contact_that_is_short_for_its_line_has_its_distance():
+    """A ball passes another one by 0.05 mm, in 1.6 mm of a line of 200 mm."""
+    machine = Machine.load('xyzac')
+    ends = np.zeros((2, len(machine.axis_names)))
+    ends[:, 0] = -0.1, 0.1
+    bezier = (ends[0] + np.linspace(0.0, 1.0, 8)[:, None] * (ends[1] - ends[0])).T[None]
+    route = clearance.Route(np.array([0.0, 0.2]), np.ascontiguousarray(bezier), np.array([0.2]))
+    links = 'tool_tip', 'workpiece'
+    (_, tip), (turn, place) = (link_pose(machine, link, ends.mean(axis=0)) for link in links)
+    large, small = (shapes.hull(np.zeros((1, 3)), size) for size in (0.005, 0.001))
+    other = moved(small, turn.T @ (tip - place - [0.0, 0.0, 6.05e-3]))
+    space = space_of(machine, [large, other], links, 1e-4)
+    found = descend(space, route, (0, 1), np.array([[0, 1]]), np.full((2, 2), -np.inf), 1)
+    begin, end = found.hit[0, :2]
+    assert begin == pytest.approx(0.1 - np.sqrt(6.1**2 - 6.05**2) * 1e-3, abs=2e-6)
+    assert least_apart(space, route, 0, 1, begin, end) == pytest.approx(5e-5, abs=2e-6)

@@ -18,17 +18,20 @@ from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
+from cnc_interp.collision.cutting import Mills, cut_by
 from cnc_interp.collision.hits import CollisionError
 from cnc_interp.collision.mesh_file import triangles_of
 from cnc_interp.collision.mill_sweep import Z1, slabs_of
+from cnc_interp.collision.motions import MOTION
 from cnc_interp.collision.scene_file import read_scene
-from cnc_interp.collision.stock import MOTION, Mills, cut_by, field_of, lines, volume
+from cnc_interp.collision.stock import field_of, lines, volume
 from cnc_interp.commands.cli import main
 from cnc_interp.core import MM, UM
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.page.preview import Preview
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report.stock import removal_rates
@@ -427,3 +430,22 @@ def test_without_a_stock_nothing_of_it_is_loaded(tmp_path):
     )
     done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)
     assert done.stdout == '[]\n', done.stderr
+
+
+def test_the_page_gets_the_stock_while_it_is_cut(folder):
+    assert plan(folder, '--stock-stages', '5') == 0
+    preview = Preview.read(folder / 'plan')
+    sizes = []
+    for k, content in enumerate(preview.stages):
+        (folder / f'{k}.stl').write_bytes(content)
+        surface = triangles_of(folder / f'{k}.stl', 1.0, 0.0)  # watertight, or it raises
+        volume = np.einsum('ij,ij->', surface[:, 0], np.cross(surface[:, 1], surface[:, 2])) / 6.0
+        sizes.append(volume)
+        place = max(float(preview.stage_from[k]), 0.0)
+        assert preview.stage_at(place) == k
+    whole, removed = told(folder)['volume'], told(folder)['removed']
+    assert sizes[0] == pytest.approx(whole, rel=5e-3), 'before anything is cut'
+    left = [(sizes[0] - size) / removed for size in sizes]
+    assert left[-1] == pytest.approx(1.0, abs=0.02) and len(left) >= 6
+    assert (np.diff(left) > 0.0).all() and np.diff(left).max() < 0.4
+    assert preview.stage_at(-1.0) == 0 and preview.stage_at(preview.length) == len(left) - 1

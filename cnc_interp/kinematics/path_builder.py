@@ -3,7 +3,10 @@
 The branch is chosen at the first pose and kept; rotary axes rest where the tool axis rests.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +21,9 @@ from cnc_interp.machine_model.transform_port import Transform, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
+
+if TYPE_CHECKING:
+    from cnc_interp.kinematics.joint_passage import JointPassages
 
 SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less are no turn to follow [m],
 ROUNDING = 1e-14  #: and those that differ less than this share of their coordinates none at all.
@@ -62,8 +68,12 @@ class AxisPathBuilder:
         self._begun, self._branch = False, 1.0
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
         self.passages: PolePassages | None = None
+        self._joints: JointPassages | None = None
         if isinstance(transform, JointChain):
+            from cnc_interp.kinematics.joint_passage import JointPassages
+
             self._axes = np.arange(len(self.machine.axis_names))
+            self._joints = JointPassages(transform, flank_height)
         else:
             extra = 5 + np.arange(len(self.machine.extra_names))
             self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
@@ -90,6 +100,8 @@ class AxisPathBuilder:
         if isinstance(self.transform, JointChain):
             pose = segments.bottom[0, 0], segments.axis[0]
             self._stands[:], self._branch = self.transform.start(*pose, line)
+            assert self._joints is not None
+            self._joints.begin(self._stands, self._branch)
             return
         rotary, five_axis = segments.rotary[0, 0], self.transform.five_axis
         self._rotary[:], self._branch = start_positions(
@@ -111,8 +123,9 @@ class AxisPathBuilder:
         guides, turn_first = np.tile(axes.NO_GUIDE, (n, 1)), np.full(n, np.nan)
         if n and not self._begun:
             self._start(segments)
-        if self.passages is not None and n:
-            released = self.passages.take(segments, motion)
+        passages = self.passages or self._joints
+        if passages is not None and n:
+            released = passages.take(segments, motion)
             segments, motion = released.segments, released.motion
             guides, turn_first = released.guides, released.turn_first
         self.done = segments
@@ -252,7 +265,7 @@ class AxisPathBuilder:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             there = np.append(guided[segment], guided[-1])
             there[1:] |= guided[segment]
-            tools[there] = self.transform.tool_axis(q[there, 3:5])
+            tools[there] = self.transform.forward(q[there])[1]
         half = (np.arange(len(steps)) - (ends - counts)[segment] >= early[segment]).astype(int)
         stop = np.zeros(len(steps), dtype=bool)
         stop[ends[counts > 0] - 1] = segments.stop[counts > 0]

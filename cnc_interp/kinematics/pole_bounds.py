@@ -249,7 +249,7 @@ def gap_bounds(
             else:
                 way += axes.arc_length(kind, axes.FOLLOWING, shape, beside, 0.0, length, before, u)
             o = axes.pose_jets(kind, shape, spans, u, u)[1]
-            gap = guided_gap(packed, o, axes.guide_jet(guide, way)[0])
+            gap = guided_gap(packed, o, axes.guide_jet(guide, way, axes.GUIDE_BEGUN)[0])
             worst, before = max(worst, abs(gap)), u
         farthest = latitude + worst + 0.5 * rate * step
         if farthest < 0.5 * pi:

@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cnc_interp.core import DEG, MM, FloatArray, IntArray
-from cnc_interp.kinematics.path_at_pole import SAME_PLACE, Guides, PassageEnd, PathAtPole
+from cnc_interp.kinematics.passages import Passages
+from cnc_interp.kinematics.path_ahead import SAME_PLACE, PassageEnd
+from cnc_interp.kinematics.path_at_pole import Guides, PathAtPole
 from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, RESTING
 from cnc_interp.machine_model.five_axis import ON_POLE, FiveAxis
 from cnc_interp.smoothing.segments import CORNER, PathSegments
@@ -37,17 +39,12 @@ class _Stretch:
     begins: bool
 
 
-class PolePassages:
+class PolePassages(Passages[PathAtPole]):
     def __init__(self, transform: FiveAxis, height: float):
+        super().__init__()
         self._transform, self._height = transform, height
         self._outer = transform.outer
         self._turn, self._branch, self._free = 0.0, 1.0, False
-        self._waiting: PathAtPole | None = None  # segments that are not released
-        self._open = 0  # the first of them in which a stretch may begin
-        self._begins, self._stopped = True, True
-        #: Path length from the last stop to the first segment that waits: the same bits however
-        #: the segments arrive [m].
-        self._begun = 0.0
         self.forbidden: list[int] = []  #: Lines where travel keeps the tilt's sign.
 
     def begin(self, rotary: FloatArray, branch: float, free: bool) -> None:
@@ -68,43 +65,11 @@ class PolePassages:
             f'instead and the motion slows down (passes: {len(self.forbidden)})'
         )
 
-    def take(self, segments: PathSegments, motion: IntArray) -> PathAtPole:
-        """Take segments and how their rotary axes move; return those that are decided.
+    def _look_at(self, segments: PathSegments, motion: IntArray) -> PathAtPole:
+        return PathAtPole.look_at(self._transform, self._height, segments, motion)
 
-        Their deviation counts the passages of the pole.
-        """
-        path = PathAtPole.look_at(self._transform, self._height, segments, motion)
-        if self._waiting is not None:
-            path = self._waiting.and_more(path)
-        free, at, n = self._open, 0, len(path)
-        stop = path.segments.stop
-        while at < n:
-            if not path.with_poses(at):
-                self._step_over(path, at)
-                at += 1
-                self._begins = True
-                continue
-            last = at + 1
-            while last < n and not stop[last - 1] and path.with_poses(last):
-                last += 1
-            closed = last < n or bool(stop[last - 1])
-            self._open = max(free - at, 0)
-            ready = self._pass(replace(path[at:last], begun=self._begun), closed)
-            if not closed:
-                free = at + self._open
-                self._begins = self._begins and ready == 0
-                at += ready
-                break
-            self._stopped, self._begins = bool(stop[last - 1]), True
-            at = last
-        self._open = max(free - at, 0)
-        if at:
-            self._free = False
-        self._waiting = path[at:]
-        done = path[:at]
-        deviation = done.segments.deviation.copy()
-        deviation[:, 1] += self._height * done.bound
-        return replace(done, segments=replace(done.segments, deviation=deviation))
+    def _released(self) -> None:
+        self._free = False
 
     def _step_over(self, path: PathAtPole, i: int) -> None:
         one = path.segments

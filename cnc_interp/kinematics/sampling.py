@@ -125,7 +125,9 @@ def sample_segments(
             right = roomier(right, capacity)
             tips, tools = roomier(tips, capacity + 1), roomier(tools, capacity + 1)
         free = how == segment_axes.FOLLOWING or guided
-        least = cone_sine * cone_sine if free and not guided else 0.0
+        least = 0.0
+        if free and (not guided or packed.ndim == 2):
+            least = cone_sine * cone_sine
         rounds = kind == CORNER and how >= segment_axes.LINEAR
         grid = CORNER_GRID if rounds else first_grid(kind, spans)
         if guided:

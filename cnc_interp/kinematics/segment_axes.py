@@ -28,9 +28,12 @@ RESTING, FOLLOWING, LINEAR, ALL_AXES, DRIFTING = 0, 1, 2, 3, -1
 SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
 #: Layout of a row of ``guides`` (``pole_passage.py``): parameters between which the outer axis
 #: is a septic of the path length, the branch after it, path length from the start of the septic to
-#: that of the segment, length of the septic [m], and its coefficients from the lowest on.
+#: that of the segment, length of the septic [m], and its coefficients from the lowest on. For an
+#: arm, the number of the joint that is the septic follows, from 1 on, with the sign of the rates'
+#: determinant, then the same columns of the spin, which leads wherever no joint does, and the
+#: height of a bump (4 u (1 - u))^4 that is added to the joint's septic in u.
 GUIDE_FROM, GUIDE_TO, BRANCH_AFTER, GUIDE_BEGUN, GUIDE_LENGTH = range(5)
-GUIDE = slice(5, 13)
+GUIDE, GUIDE_JOINT, SPIN_BEGUN, SPIN, GUIDE_BUMP = slice(5, 13), 13, 14, slice(16, 24), 24
 NO_GUIDE = np.array([2.0, 2.0] + [0.0] * 11)
 #: Rows of a segment's ``shape``.
 BOTTOM, TOP = slice(0, kinds.POINTS), slice(kinds.POINTS, 2 * kinds.POINTS)
@@ -159,7 +162,16 @@ def axis_jets(
     p, o, speed = pose
     way, u, inside = place
     if packed.ndim == 2:
-        joints, measure = chain_kernels.joint_jets(packed, p, o, stands.q, stands.branch[0])
+        leads, begun = chain_kernels.NO_JOINT, SPIN_BEGUN
+        sense = stands.branch[0] if inside < guide[GUIDE_TO] else guide[BRANCH_AFTER]
+        if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:
+            leads, begun, sense = int(abs(guide[GUIDE_JOINT])) - 1, GUIDE_BEGUN, guide[GUIDE_JOINT]
+        s = (way, speed[0], 0.5 * speed[1], speed[2] / 3.0)
+        lead = guide_jet(guide, way, begun)
+        if leads >= 0 and guide[GUIDE_BUMP] != 0.0:
+            lead = jet.add(lead, bump_jet(guide, way))
+        lead = jet.compose(lead, s)
+        joints, measure = chain_kernels.joint_jets(packed, p, o, stands.q, sense, leads, lead)
         for j in range(joints.shape[1]):
             of_u = (joints[0, j], joints[1, j], joints[2, j], joints[3, j])
             joints[0, j], joints[1, j], joints[2, j], joints[3, j] = jet.by_arc_length(of_u, speed)
@@ -168,7 +180,7 @@ def axis_jets(
     tilted, turned = stands.q[4 - outer], stands.q[3 + outer]
     if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:
         s = (way, speed[0], 0.5 * speed[1], speed[2] / 3.0)
-        turn = jet.compose(guide_jet(guide, way), s)
+        turn = jet.compose(guide_jet(guide, way, GUIDE_BEGUN), s)
         tilt, turn = kernel.guided_jets(packed, o, turn, tilted, turned)
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
     elif motion == RESTING:
@@ -219,12 +231,21 @@ def pose_jets(
 
 
 @njit(cache=True, nogil=True)
-def guide_jet(guide: FloatArray, way: float) -> Jet:
-    """Return the jet by path length [rad] of the outer axis where it is given; see ``sample``."""
-    length = guide[GUIDE_LENGTH]
-    u = (guide[GUIDE_BEGUN] + way) / length
-    value, first, second, third = septic_jet(guide[GUIDE], u, length)
+def guide_jet(guide: FloatArray, way: float, begun: int) -> Jet:
+    """Return the jet by path length [rad] of what a septic gives whose row begins at ``begun``."""
+    length = guide[begun + 1]
+    u = (guide[begun] + way) / length
+    value, first, second, third = septic_jet(guide[begun + 2 : begun + 10], u, length)
     return (value, first, 0.5 * second, third / 6.0)
+
+
+@njit(cache=True, nogil=True)
+def bump_jet(guide: FloatArray, way: float) -> Jet:
+    rate = 1.0 / guide[GUIDE_LENGTH]
+    u = (guide[GUIDE_BEGUN] + way) * rate
+    hill = (4.0 * u * (1.0 - u), 4.0 * (1.0 - 2.0 * u) * rate, -4.0 * rate * rate, 0.0)
+    square = jet.multiply(hill, hill)
+    return jet.scale(jet.multiply(square, square), guide[GUIDE_BUMP])
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ from math import pi
 import numpy as np
 
 from cnc_interp.core import FloatArray, jet
-from cnc_interp.core.jet import VectorJet
+from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.core.kernels import njit
 
 #: Places in a row of the packed chain: direction and point of a joint. Two rows follow the joints:
@@ -22,6 +22,7 @@ TIP, SIDE, AXIS, REACH, SPIN = 0, 3, 0, 3, 4
 #: Newton: most steps, longest one [rad], and the misfit at which it has ended [-].
 STEPS, LONGEST, ENDED = 60, 0.4, 1e-13
 UNSOLVED, REVERSED = -1.0, 0.0  #: Measures of poses out of reach, and past a singular pose.
+NO_JOINT = -1  #: Leads: the spin does.
 #: Sine of the angle to part -Z at which no side of the tool is defined.
 LEAST_UPRIGHT = 1e-6
 
@@ -140,7 +141,7 @@ def crossed(a: VectorJet, b: VectorJet) -> VectorJet:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')  # not finite where the tool points down
-def side_jets(o: VectorJet, spin: float) -> VectorJet:
+def side_jets(o: VectorJet, spin: Jet) -> VectorJet:
     """Return the jets of the side of a tool along ``o``, so turned about it [rad].
 
     At zero it is part X carried from part Z to o by the least turn.
@@ -152,11 +153,11 @@ def side_jets(o: VectorJet, spin: float) -> VectorJet:
         jet.scale(o[0], -1.0),
     )
     y = crossed(o, x)
-    s, c = np.sin(spin), np.cos(spin)
+    s, c = jet.sine_cosine(spin)
     return (
-        jet.add(jet.scale(x[0], c), jet.scale(y[0], s)),
-        jet.add(jet.scale(x[1], c), jet.scale(y[1], s)),
-        jet.add(jet.scale(x[2], c), jet.scale(y[2], s)),
+        jet.add(jet.multiply(x[0], c), jet.multiply(y[0], s)),
+        jet.add(jet.multiply(x[1], c), jet.multiply(y[1], s)),
+        jet.add(jet.multiply(x[2], c), jet.multiply(y[2], s)),
     )
 
 
@@ -199,54 +200,65 @@ def tool_jets(packed: FloatArray, q: FloatArray, last: int) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def misfit(tool: FloatArray, wanted: FloatArray, reach: float, k: int) -> FloatArray:
+def misfit(tool: FloatArray, wanted: FloatArray, reach: float, k: int, first: int) -> FloatArray:
     """Return coefficient k of wanted less found place, (6,): tip over reach, turn [-].
 
     Both are jets of tip, side and axis, (3, 3, 4). If all lower orders agree, a turn d moves the
-    sum of r x e over side and axis by d + y (y . d), with y across both.
+    sum of r x e over side and axis (``first`` 1) by d + y (y . d), with y across both. For the
+    axis alone (``first`` 2) it moves by the part of d across the axis.
     """
     found, y = np.zeros(6), np.empty(3)
     for i in range(3):
         j, m = (i + 1) % 3, (i + 2) % 3
         found[i] = (wanted[0, i, k] - tool[0, i, k]) / reach
         y[i] = tool[2, j, 0] * tool[1, m, 0] - tool[2, m, 0] * tool[1, j, 0]
-        for v in range(1, 3):
+        for v in range(first, 3):
             for order in range(k + 1):
                 found[3 + i] += tool[v, j, order] * wanted[v, m, k - order]
                 found[3 + i] -= tool[v, m, order] * wanted[v, j, k - order]
-    along = 0.5 * (y[0] * found[3] + y[1] * found[4] + y[2] * found[5])
-    for i in range(3):
-        found[3 + i] -= along * y[i]
+    if first == 1:
+        along = 0.5 * (y[0] * found[3] + y[1] * found[4] + y[2] * found[5])
+        for i in range(3):
+            found[3 + i] -= along * y[i]
     return found
 
 
 @njit(cache=True, nogil=True)
-def wanted_jets(p: VectorJet, o: VectorJet, spin: float) -> FloatArray:
-    """Return the jets of tip, side and axis of the tool, (3, 3, 4)."""
-    x = side_jets(o, spin)
-    return np.array((p, x, o))
-
-
-@njit(cache=True, nogil=True)
 def joint_jets(
-    packed: FloatArray, p: VectorJet, o: VectorJet, near: FloatArray, sense: float
+    packed: FloatArray,
+    p: VectorJet,
+    o: VectorJet,
+    near: FloatArray,
+    sense: float,
+    leads: int,
+    lead: Jet,
 ) -> tuple[FloatArray, float]:
     """Return the joints with three Taylor coefficients, (4, n), for jets of tip and tool axis.
 
-    Newton begins ``near`` (n,). The measure is the square of the smallest pivot of the rates of
-    the pose; it is ``UNSOLVED`` out of reach, and ``REVERSED`` where the sign of their determinant
-    is not ``sense``, so that a singular pose lies between; 0 takes both.
+    ``lead`` is the jet of the sixth freedom: of joint ``leads``, or of the spin if that is
+    ``NO_JOINT``. Newton begins ``near`` (n,). The measure is the square of the smallest pivot of
+    the rates of the pose; it is ``UNSOLVED`` out of reach, and ``REVERSED`` where the sign of
+    their determinant is not ``sense``, so that a singular pose lies between; 0 takes both.
     """
-    n = len(near)
+    n, spins = len(near), leads == NO_JOINT
     q, order = np.zeros((4, n)), np.empty(n)
     q[0] = near
-    if o[2][0] < LEAST_UPRIGHT - 1.0:
+    if spins and o[2][0] < LEAST_UPRIGHT - 1.0:
         return q, UNSOLVED
-    wanted, reach = wanted_jets(p, o, packed[n + 1, SPIN]), packed[n + 1, REACH]
+    first, side = 2, o
+    if spins:
+        first, side = 1, side_jets(o, lead)
+    else:
+        for k in range(4):
+            q[k, leads] = lead[k]
+    wanted, reach = np.array((p, side, o)), packed[n + 1, REACH]
     size, last, tool = np.inf, False, np.zeros((3, 3, 4))
     for _ in range(STEPS):
         tool[:, :, 0], rates = posture(packed, q[0])
-        gap = misfit(tool, wanted, reach, 0)
+        if not spins:  # the turn about the axis takes the place of that joint
+            for i in range(3):
+                rates[i, leads], rates[3 + i, leads] = 0.0, tool[2, i, 0]
+        gap = misfit(tool, wanted, reach, 0, first)
         size, before = np.sqrt((gap * gap).sum()), size
         least, sign = factorised(rates, order)
         if least == 0.0:
@@ -256,19 +268,29 @@ def joint_jets(
         last = size < ENDED or (size < 1e3 * ENDED and size >= before)
         solved(rates, order, gap)
         longest = np.abs(gap).max()
-        q[0] += gap * min(1.0, LONGEST / max(longest, LONGEST))
+        gap *= min(1.0, LONGEST / max(longest, LONGEST))
+        for j in range(n):
+            if j != leads:
+                q[0, j] += gap[j]
     alike = 0.0  # 2, or below 0 where half a turn lies between, which is no misfit either
     for i in range(3):
-        alike += tool[1, i, 0] * wanted[1, i, 0] + tool[2, i, 0] * wanted[2, i, 0]
+        alike += tool[first, i, 0] * wanted[first, i, 0] + tool[2, i, 0] * wanted[2, i, 0]
     if alike < 1.0 or (not last and size > 0.0):
         return q, UNSOLVED
     for k in range(1, 4):
-        if k > 1:
+        if k > 1 or not spins:
             tool = tool_jets(packed, q, k)
-        gap = misfit(tool, wanted, reach, k)
+        gap = misfit(tool, wanted, reach, k, first)
         solved(rates, order, gap)
-        q[k] = gap
+        for j in range(n):
+            if j != leads:
+                q[k, j] = gap[j]
     return q, REVERSED if sense * sign < 0.0 else least * least
+
+
+@njit(cache=True, nogil=True, inline='always')
+def spin_of(packed: FloatArray) -> Jet:
+    return jet.constant(packed[len(packed) - 1, SPIN])
 
 
 @njit(cache=True, nogil=True)
@@ -306,7 +328,7 @@ def solutions(
     p, o = pose_jets(tip, axis, still, still)
     found, measure = np.empty_like(seeds), np.empty(len(seeds))
     for i in range(len(seeds)):
-        q, measure[i] = joint_jets(packed, p, o, seeds[i], 0.0)
+        q, measure[i] = joint_jets(packed, p, o, seeds[i], 0.0, NO_JOINT, spin_of(packed))
         for j in range(seeds.shape[1]):
             found[i, j] = q[0, j] - 2.0 * pi * np.ceil(q[0, j] / (2.0 * pi) - 0.5)
     return found, measure
@@ -324,7 +346,7 @@ def followed(
     near, still, order = start.copy(), np.zeros(3), np.empty(len(start))
     for i in range(len(tip)):
         p, o = pose_jets(tip[i], axis[i], still, still)
-        found, measure = joint_jets(packed, p, o, near, sense)
+        found, measure = joint_jets(packed, p, o, near, sense, NO_JOINT, spin_of(packed))
         least = min(least, measure)
         if measure <= 0.0:
             return q[:i], least
@@ -352,7 +374,7 @@ def rates(
             [w[1] * o[2] - w[2] * o[1], w[2] * o[0] - w[0] * o[2], w[0] * o[1] - w[1] * o[0]]
         )
         p, tool = pose_jets(tip[i], o, step[i], slope)
-        q, measure = joint_jets(packed, p, tool, home, 0.0)
+        q, measure = joint_jets(packed, p, tool, home, 0.0, NO_JOINT, spin_of(packed))
         if measure > 0.0:
             found[i] = q[1]
     return found

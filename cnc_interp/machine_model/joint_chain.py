@@ -101,12 +101,16 @@ class JointChain:
         """Least measure that a path may have."""
         return float(np.sin(self.machine.singular_cone)) ** 2
 
-    def sense(self, q: FloatArray) -> float:
-        """Return the sign that the determinant of the rates keeps on a path."""
-        return float(np.sign(np.linalg.det(self.pose_rates(q))))
+    def sense(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> float:
+        """Return the sign that the determinant of the rates keeps on a path that a joint leads."""
+        return float(np.sign(np.linalg.det(self.pose_rates(q, leads))))
 
-    def pose_rates(self, q: FloatArray) -> FloatArray:
-        return kernel.posture(self.packed, q)[1]
+    def pose_rates(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> FloatArray:
+        """Return the rates of the pose (6, n); the spin is in the place of a joint that leads."""
+        tool, rates = kernel.posture(self.packed, q)
+        if leads != kernel.NO_JOINT:
+            rates[:3, leads], rates[3:, leads] = 0.0, tool[2]
+        return rates
 
     def start(self, tip: FloatArray, axis: FloatArray, line: int) -> tuple[FloatArray, float]:
         """Return joints (n,) [rad] of a start pose and the sign that ``sense`` has there."""

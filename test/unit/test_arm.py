@@ -15,6 +15,7 @@ from cnc_interp.machine_model.machine import Machine, arms_directory
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
 from cnc_interp.proof.own_chain import OwnChain
+from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
@@ -112,7 +113,8 @@ def test_jets_are_the_derivatives_of_the_joints(name):
     u = np.linspace(-4.0, 4.0, 9)
     h = 2e-3
     for q, tip, axis in zip(*poses(chain, 30, 5), strict=True):
-        packed = chain.spun(spin_of(chain, q, axis)).packed
+        packed = chain.packed
+        led = chain_kernels.NO_JOINT, (spin_of(chain, q, axis), 0.0, 0.0, 0.0)
         p = np.vstack([tip, random.normal(size=(3, 3)) * 0.2])
         turn = random.normal(size=3)
         o, last = [axis], axis
@@ -120,7 +122,7 @@ def test_jets_are_the_derivatives_of_the_joints(name):
             last = np.cross(turn, last) / k
             o.append(last)
         o = np.array(o)
-        jets, measure = chain_kernels.joint_jets(packed, tuples(p), tuples(o), q, 0.0)
+        jets, measure = chain_kernels.joint_jets(packed, tuples(p), tuples(o), q, 0.0, *led)
         assert measure > 0.0
         courses = []
         for x in u * h:
@@ -130,7 +132,7 @@ def test_jets_are_the_derivatives_of_the_joints(name):
             still = np.zeros((4, 3)), np.zeros((4, 3))
             still[0][0], still[1][0] = x ** np.arange(4) @ p, there
             given = tuples(still[0]), tuples(still[1])
-            courses.append(chain_kernels.joint_jets(packed, *given, q, 0.0)[0][0])
+            courses.append(chain_kernels.joint_jets(packed, *given, q, 0.0, *led)[0][0])
         fit = np.polynomial.polynomial.polyfit(u, np.array(courses), 8)
         for k, allowed in enumerate((1e-11, 1e-8, 1e-6, 1e-4)):
             size = max(np.abs(jets[k]).max(), 1.0)
@@ -185,16 +187,37 @@ def changed(tmp_path, name, **entries):
     return Machine.load(file)
 
 
-def test_a_line_through_the_wrist_is_refused_with_joint_and_remedy(tmp_path):
-    # Tool along the flange: a tool that leans forward brings J5 through zero.
-    tcp = '{xyz_mm: [80.0, 0.0, 120.0], rpy_deg: [0.0, 0.0, 0.0]}'
+def wrist(tmp_path, lean):
+    """Return an M-710iC whose tool leans from the flange [deg], and a way through its wrist."""
+    tcp = f'{{xyz_mm: [{80 if lean else 0}, 0.0, 120.0], rpy_deg: [0.0, {lean}, 0.0]}}'
     machine = changed(tmp_path, 'm710ic_50', tcp=tcp, spin_deg=180.0)
     lines = [
         f'GOTO/0,{y},0,{-np.sin(a):.9f},0,{np.cos(a):.9f}'
-        for y, a in zip((0, 5, 10, 15), np.radians([10, 30, 50, 70]), strict=True)
+        for y, a in zip(
+            (0, 5, 10, 15), np.radians([10, 30, 50, 70]) - np.radians(lean), strict=True
+        )
     ]
+    return machine, '\n'.join(['FEDRAT/600', *lines, 'FINI'])
+
+
+def test_a_joint_leads_past_a_singular_pose_without_a_stop(tmp_path):
+    machine, text = wrist(tmp_path, -20)
+    planned(text, tmp_path, machine)
+    q = np.load(tmp_path / 'out/setpoints.npz')['position']
+    chain = Transform.of(machine)
+    spins = [spin_of(chain, row, chain.forward(row[None])[1][0]) - np.pi for row in q[::20]]
+    turned = np.abs((np.array(spins) + np.pi) % (2.0 * np.pi) - np.pi)
+    assert q[:, 4].min() < 0.0 < q[:, 4].max()  # through the wrist
+    assert max(turned[0], turned[-1]) < 1e-5 < 1e-3 < turned.max()
+    proof = verify_plan(tmp_path / 'out', machine)
+    assert proof.ok, proof.failures
+    assert not np.load(tmp_path / 'out/path.npz')['stop'][1:-1].any()
+
+
+def test_a_line_through_the_wrist_is_refused_with_joint_and_remedy(tmp_path):
+    machine, text = wrist(tmp_path, 0)  # J6 is the spin, so that no joint can lead
     with pytest.raises(SingularityError, match=r':4: J5 .* of 0\.0, where J4 and J6 turn against'):
-        planned('\n'.join(['FEDRAT/600', *lines, 'FINI']), tmp_path, machine)
+        planned(text, tmp_path, machine)
 
 
 def test_what_is_out_of_reach_is_refused_by_line(tmp_path):

@@ -1,0 +1,309 @@
+"""Passages of the singular poses of an arm: a joint leads instead of the spin (arms.md).
+
+On a stretch around the pose, a joint is the septic of the path length that takes its value and
+three derivatives of both ends; the pose stays exact, and the spin follows. Stretches of several
+lengths, to the nearest solutions after the pose, are compared by their time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain, product
+from math import ceil, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from cnc_interp.core import MM, FloatArray, IntArray
+from cnc_interp.core.kernels import njit
+from cnc_interp.kinematics import segment_axes as axes
+from cnc_interp.kinematics.passages import Passages
+from cnc_interp.kinematics.path_ahead import PassageEnd, PathAhead
+from cnc_interp.kinematics.sampling import guided_grid
+from cnc_interp.kinematics.segment_axes import Place, SegmentRows, Stands
+from cnc_interp.machine_model.chain_kernels import REACH
+from cnc_interp.machine_model.joint_chain import JointChain
+from cnc_interp.smoothing.segments import PathSegments
+
+NEAR = 0.05  #: Smallest pivot of the rates below which a stretch is tried [-].
+FAR = 0.12  #: Longest way before and after that, over the reach of the arm [-].
+WAYS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.0)  #: Shares of it that are tried.
+STEP, MOST_STEPS = 2.0 * MM, 128  #: Steps of a walk [m]; most of them on half a segment.
+#: Bumps of the leading joint, the next one if no stretch is possible with those before [rad].
+BUMPS = (0.0, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
+LEADERS, SOLUTIONS = 2, 2  #: Joints, and solutions after the pose, that are tried.
+FEW = pi / 3.0  #: A leading joint that turns farther may also turn the other way round [rad].
+SAME = 1e-7  #: Joints at the end of a stretch differ less from the solution there [rad].
+MOST_FAILED = 8  #: Steps without a solution after which a walk is lost.
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """What a walk found at its steps, and where the joints stand at the start of each segment."""
+
+    s: FloatArray  # (m,) from the start of the path [m]
+    q: FloatArray  # (m, 4, n)
+    measure: FloatArray  # (m,)
+    row: IntArray  # (m,)
+    begins: FloatArray  # (segments + 1, n)
+    branches: FloatArray  # (segments + 1,)
+    sound: bool
+
+
+class _Stretch(NamedTuple):
+    left: PassageEnd
+    right: PassageEnd
+    joint: float  # as in ``GUIDE_JOINT``
+    there: FloatArray  # (n,): the joints at its end [rad]
+
+
+class JointPassages(Passages[PathAhead]):
+    def __init__(self, transform: JointChain, height: float):
+        super().__init__()
+        self._chain, self._height = transform, height
+        self._q, self._branch = np.zeros(len(transform.machine.axis_names)), 0.0
+        self._far = FAR * transform.packed[-1, REACH]
+        self._lost = False  # what follows is refused
+
+    def begin(self, q: FloatArray, branch: float) -> None:
+        self._q, self._branch = q.copy(), branch
+
+    def _look_at(self, segments: PathSegments, motion: IntArray) -> PathAhead:
+        guides = np.zeros((len(segments), axes.GUIDE_BUMP + 1))
+        guides[:, : len(axes.NO_GUIDE)] = axes.NO_GUIDE
+        guides[:, axes.SPIN_BEGUN + 1], guides[:, axes.SPIN.start] = 1.0, self._chain.spin
+        return PathAhead.of(self._height, segments, motion, guides)
+
+    def _pass(self, path: PathAhead, closed: bool) -> int:
+        if self._lost:
+            return len(path)
+        ends = path.ends
+        total, hold = float(ends[-1]), float(ends[-1]) - self._far
+        walk = self._walk(path, slice(0, len(path)), path.guides, self._q, self._branch)
+        while not self._lost:
+            core = self._core(walk, float(ends[0]))
+            if core is None:
+                self._lost = not walk.sound
+                break
+            if not closed and walk.sound and total < core[1] + self._far:
+                hold = core[0] - self._far
+                break
+            rests = self._begins and self._stopped, closed
+            self._decide(path, walk, core, rests)
+            walk = self._walk(path, slice(0, len(path)), path.guides, self._q, self._branch)
+        ready = len(path)
+        if not closed and not self._lost:
+            ready = int(np.searchsorted(ends[1:], hold, 'right'))
+        self._q, self._branch = walk.begins[ready], float(walk.branches[ready])
+        self._begun = 0.0 if closed else float(ends[ready])
+        return ready
+
+    def _core(self, walk: _Walk, begin: float) -> tuple[float, float] | None:
+        """Return where a path comes near to a singular pose, and where it has left it [m]."""
+        low = (walk.measure < NEAR * NEAR) & (walk.row >= self._open)
+        if not low.any():
+            return None
+        first = int(low.argmax())
+        after = np.flatnonzero(~low[first:])
+        last = first + int(after[0]) if len(after) else len(low) - 1
+        return float(walk.s[first - 1]) if first else begin, float(walk.s[last])
+
+    def _decide(
+        self, path: PathAhead, walk: _Walk, core: tuple[float, float], rests: tuple[bool, bool]
+    ) -> None:
+        """Let a joint lead past a pose, if that is faster, or keep the spin, or give up.
+
+        ``rests``: whether the motion rests at the start and at the end of the path.
+        """
+        ends, (start, end) = path.ends, core
+        first = max(self._open, int(np.searchsorted(ends, start - self._far, 'right')) - 1)
+        last = min(int(np.searchsorted(ends, end + self._far, 'left')), len(path))
+        rows, at = slice(first, last), (walk.begins[first], float(walk.branches[first]))
+        best = self._time(path, rows, path.guides[rows], at, self._chain.least)
+        given: tuple[slice, FloatArray] | None = None
+        low = (walk.s >= start) & (walk.s <= end)
+        nearest = walk.q[low][walk.measure[low].argmin(), 0]
+        turns = np.abs(np.linalg.svd(self._chain.pose_rates(nearest))[2][-1])
+        leaders = np.argsort(-turns, kind='stable')[:LEADERS]
+        tried = dict[tuple[float, float], list[_Stretch]]()
+        for share in WAYS:
+            ways = (
+                min(share * self._far, start - float(ends[first])),
+                min(share * self._far, float(ends[-1]) - end),
+            )
+            if ways not in tried:
+                s = start - ways[0], end + ways[1]
+                near = walk.q[max(int(np.searchsorted(walk.s, s[0], 'right')) - 1, 0), 0]
+                near = near if s[0] > walk.s[0] else at[0]
+                tried[ways] = self._pairs(path, s, near, leaders, rests)
+        for bump in BUMPS:
+            if bump and np.isfinite(best):
+                break
+            for left, right, joint, there in chain.from_iterable(tried.values()):
+                some, values = path.led_between(left, right)
+                values[:, axes.GUIDE_JOINT], values[:, axes.GUIDE_BUMP] = joint, bump
+                guides = path.guides[rows].copy()
+                guides[some.start - first : some.stop - first] = values
+                time = self._time(path, rows, guides, at, self._chain.least, (right.s, there))
+                if time < best:
+                    best, given = time, (some, values)
+        if given is not None:
+            path.guides[given[0]] = given[1]
+            self._open = given[0].stop
+        else:
+            self._open = path.place(end)[0] + 1
+            self._lost = not np.isfinite(best)
+
+    def _pairs(
+        self,
+        path: PathAhead,
+        s: tuple[float, float],
+        near: FloatArray,
+        leaders: IntArray,
+        rests: tuple[bool, bool],
+    ) -> list[_Stretch]:
+        """Return the stretches between two path lengths on which one of some joints leads."""
+        found = list[_Stretch]()
+        left, left_end = self._solved(path, s[0], near)
+        at_rest = rests[0] and s[0] <= path.ends[0], rests[1] and s[1] >= path.ends[-1]
+        for q in self._solutions(path, s[1], left[0]):
+            right, right_end = self._solved(path, s[1], q)
+            for joint, turn in product(leaders.tolist(), (0.0, 2.0 * pi)):
+                jets = [left[:, joint].copy(), right[:, joint].copy()]
+                gap = jets[1][0] - jets[0][0]
+                if turn and abs(gap) < FEW:
+                    continue
+                jets[1][0] -= np.copysign(turn, gap)
+                slope = (jets[1][0] - jets[0][0]) / (s[1] - s[0])
+                for jet, rest in zip(jets, at_rest, strict=True):
+                    jet[1:] = [slope, 0.0, 0.0] if rest else jet[1:]
+                found.append(
+                    _Stretch(
+                        PassageEnd(*left_end, jets[0], 0.0),
+                        PassageEnd(*right_end, jets[1], self._chain.sense(q)),
+                        (joint + 1) * self._chain.sense(left[0], joint),
+                        right[0],
+                    )
+                )
+        return found
+
+    def _solved(
+        self, path: PathAhead, s: float, near: FloatArray
+    ) -> tuple[FloatArray, tuple[int, float, float]]:
+        """Return the joints with three derivatives at a path length, the spin leading."""
+        i, u = path.place(s)
+        stands = Stands(near.copy(), np.zeros(1), self._height)
+        place = Place(path.way(i, u), u, u + (1e-9 if u < 0.5 else -1e-9))
+        free = path.guides[i].copy()
+        free[: axes.GUIDE_JOINT] = axes.NO_GUIDE
+        return axes.sample(self._chain.packed, path.segment(i), stands, free, place)[0], (i, u, s)
+
+    def _solutions(self, path: PathAhead, s: float, near: FloatArray) -> list[FloatArray]:
+        """Return the solutions at a path length, turned nearest to joints (n,), those first."""
+        i, u = path.place(s)
+        segment, machine = path.segment(i), self._chain.machine
+        pose = axes.pose_jets(segment.kind, segment.shape, segment.f, u, u)
+        spin = axes.guide_jet(path.guides[i], path.way(i, u), axes.SPIN_BEGUN)[0]
+        tip, axis = (np.array([row[0] for row in rows]) for rows in pose)
+        found = self._chain.spun(spin).branches(tip, axis)
+        found = found + 2.0 * pi * np.round((near - found) / (2.0 * pi))
+        low, high = machine.travel.T
+        found = found[((found >= low) & (found <= high)).all(axis=1)]
+        away = (np.abs(found - near) / machine.max_velocity).max(axis=1)
+        return list(found[np.argsort(away, kind='stable')[:SOLUTIONS]])
+
+    def _walk(
+        self,
+        path: PathAhead,
+        rows: slice,
+        guides: FloatArray,
+        q: FloatArray,
+        branch: float,
+        least: float = 0.0,
+    ) -> _Walk:
+        """Follow segments from joints on; with ``least`` until a measure is smaller."""
+        stands = Stands(q.copy(), np.array([branch]), self._height)
+        given = self._chain.packed, path.rows(rows), path.lengths[rows], guides, stands
+        opens = self._open if least == 0.0 else rows.stop
+        s, *found = walked(*given, opens, least)
+        return _Walk(float(path.ends[rows.start]) + s, *found)
+
+    def _time(
+        self,
+        path: PathAhead,
+        rows: slice,
+        guides: FloatArray,
+        at: tuple[FloatArray, float],
+        least: float,
+        there: tuple[float, FloatArray] | None = None,
+    ) -> float:
+        """Bound the time of segments from joints and branch on [s]; infinite if they are lost.
+
+        Where there is a stretch, ``there`` are the path length and the joints at its end.
+        """
+        walk, machine = self._walk(path, rows, guides, *at, least), self._chain.machine
+        q = walk.q[:, 0]
+        if not walk.sound or ((q < machine.travel[:, 0]) | (q > machine.travel[:, 1])).any():
+            return np.inf
+        if there is not None:
+            reached = q[np.abs(walk.s - there[0]).argmin()]
+            gap = (reached - there[1]) / (2.0 * pi)
+            if np.abs(gap - np.round(gap)).max() > SAME:
+                return np.inf
+        feed = path.segments.feed[rows].min(axis=1)[walk.row]
+        powers = np.abs(walk.q[:, 1:])
+        limits = machine.max_velocity, machine.max_acceleration, machine.max_jerk
+        slow = 1.0 / feed
+        for order, limit in enumerate(limits):
+            share = (powers[:, order] / limit).max(axis=1)
+            slow = np.maximum(slow, share ** (1.0 / (order + 1)))
+        return float((np.diff(walk.s, prepend=path.ends[rows.start]) * slow).sum())
+
+
+@njit(cache=True, nogil=True)
+def walked(
+    packed: FloatArray,
+    segments: SegmentRows,
+    lengths: FloatArray,
+    guides: FloatArray,
+    stands: Stands,
+    opens: int,
+    least: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, bool]:
+    """Follow segments in steps from where the joints stand; see ``_Walk`` for what is returned.
+
+    With ``least`` it ends where a measure is smaller. Without it, it goes on past singular poses
+    in segments from ``opens`` on, on whatever branch it finds, and ends where it finds none.
+    """
+    count, n = len(lengths), len(stands.q)
+    halves = np.empty(count, dtype=np.int64)
+    for i in range(count):
+        halves[i] = min(max(ceil(0.5 * lengths[i] / STEP), 1), MOST_STEPS)
+    room = 2 * halves.sum() + 2 * count
+    s, measure, row = np.empty(room), np.empty(room), np.empty(room, dtype=np.int64)
+    q, begins, branches = np.empty((room, 4, n)), np.zeros((count + 1, n)), np.zeros(count + 1)
+    at, failed, begun = 0, 0, 0.0
+    for i in range(count):
+        segment, guide, way = axes.segment_at(segments, i), guides[i], 0.0
+        kind, motion, shape, beside, _, length = segment
+        begins[i], branches[i] = stands.q, stands.branch[0]
+        grid = guided_grid(np.linspace(0.0, 1.0, 2 * halves[i] + 1), guide)
+        for k in range(1, len(grid)):
+            a, b = grid[k - 1], grid[k]
+            way += axes.arc_length(kind, motion, shape, beside, stands.height, length, a, b)
+            place = Place(way, b, 0.5 * (a + b))
+            found, _, _, sine = axes.sample(packed, segment, stands, guide, place)
+            q[at], measure[at], s[at], row[at] = found, sine, begun + way, i
+            at += 1
+            failed = 0 if sine > 0.0 else failed + 1
+            if sine < least or failed > MOST_FAILED or (sine <= 0.0 and i < opens):
+                return s[:at], q[:at], measure[:at], row[:at], begins, branches, False
+            if sine > 0.0:
+                stands.q[:] = found[0]
+            if i >= opens and sine < NEAR * NEAR:
+                stands.branch[0] = 0.0
+        if guide[axes.GUIDE_FROM] < 1.0 and guide[axes.GUIDE_TO] <= 1.0:
+            stands.branch[0] = guide[axes.BRANCH_AFTER]
+        begun += lengths[i]
+    begins[count], branches[count] = stands.q, stands.branch[0]
+    return s[:at], q[:at], measure[:at], row[:at], begins, branches, failed == 0

@@ -1,0 +1,79 @@
+"""Passages of singular poses: segments wait until nothing later can change what leads them."""
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+from cnc_interp.core import IntArray
+from cnc_interp.kinematics.path_ahead import PathAhead
+from cnc_interp.smoothing.segments import PathSegments
+
+Ahead = TypeVar('Ahead', bound=PathAhead)
+
+
+class Passages(ABC, Generic[Ahead]):
+    """What the pole of a five-axis machine and the singular poses of an arm have in common."""
+
+    def __init__(self) -> None:
+        self._waiting: Ahead | None = None  # segments that are not released
+        self._open = 0  # the first of them in which a stretch may begin
+        self._begins, self._stopped = True, True
+        #: Path length from the last stop to the first segment that waits: the same bits however
+        #: the segments arrive [m].
+        self._begun = 0.0
+
+    @property
+    def notice(self) -> tuple[int, str] | None:
+        """What the operator should know of the passages: a line, and a text."""
+        return None
+
+    @abstractmethod
+    def _look_at(self, segments: PathSegments, motion: IntArray) -> Ahead: ...
+
+    @abstractmethod
+    def _pass(self, path: Ahead, closed: bool) -> int:
+        """Decide what can be decided of a path from stop to stop; return how many segments."""
+
+    def _step_over(self, path: Ahead, i: int) -> None:
+        """Pass by a segment whose axes are coordinates of the path."""
+
+    def _released(self) -> None:
+        """Note that the first segments have left."""
+
+    def take(self, segments: PathSegments, motion: IntArray) -> Ahead:
+        """Take segments and how their axes move; return those that are decided.
+
+        Their deviation counts the passages.
+        """
+        path = self._look_at(segments, motion)
+        if self._waiting is not None:
+            path = self._waiting.and_more(path)
+        free, at, n = self._open, 0, len(path)
+        stop = path.segments.stop
+        while at < n:
+            if not path.with_poses(at):
+                self._step_over(path, at)
+                at += 1
+                self._begins = True
+                continue
+            last = at + 1
+            while last < n and not stop[last - 1] and path.with_poses(last):
+                last += 1
+            closed = last < n or bool(stop[last - 1])
+            self._open = max(free - at, 0)
+            ready = self._pass(replace(path[at:last], begun=self._begun), closed)
+            if not closed:
+                free = at + self._open
+                self._begins = self._begins and ready == 0
+                at += ready
+                break
+            self._stopped, self._begins = bool(stop[last - 1]), True
+            at = last
+        self._open = max(free - at, 0)
+        if at:
+            self._released()
+        self._waiting = path[at:]
+        done = path[:at]
+        deviation = done.segments.deviation.copy()
+        deviation[:, 1] += done.height * done.bound
+        return replace(done, segments=replace(done.segments, deviation=deviation))

@@ -88,7 +88,7 @@ class PathAhead:
             for name, column in self._columns.items()
         }
         segments = PathSegments.concatenate([self.segments, more.segments])
-        return replace(self, segments=segments, **columns)  # type: ignore[arg-type]
+        return replace(self, segments=segments, **columns)
 
     def with_poses(self, i: int) -> bool:
         return int(self.motion[i]) in (axes.RESTING, axes.FOLLOWING)

@@ -58,11 +58,12 @@ class _Stretch(NamedTuple):
 
 
 class JointPassages(Passages[PathAhead]):
-    def __init__(self, transform: JointChain, height: float):
+    def __init__(self, transform: JointChain, height: float, spins: FloatArray | None = None):
         super().__init__()
         self._chain, self._height = transform, height
         self._q, self._branch = np.zeros(len(transform.machine.axis_names)), 0.0
         self._far = FAR * transform.packed[-1, REACH]
+        self._spins = spins
         self._lost = False  # what follows is refused
 
     def begin(self, q: FloatArray, branch: float) -> None:
@@ -72,6 +73,9 @@ class JointPassages(Passages[PathAhead]):
         guides = np.zeros((len(segments), axes.GUIDE_BUMP + 1))
         guides[:, : len(axes.NO_GUIDE)] = axes.NO_GUIDE
         guides[:, axes.SPIN_BEGUN + 1], guides[:, axes.SPIN.start] = 1.0, self._chain.spin
+        if self._spins is not None:
+            rows, self._spins = np.split(self._spins, [len(segments)])
+            guides[:, axes.SPIN_BEGUN : axes.SPIN.stop] = rows
         return PathAhead.of(self._height, segments, motion, guides)
 
     def _pass(self, path: PathAhead, closed: bool) -> int:

@@ -60,9 +60,18 @@ def _spreads(segments: PathSegments) -> FloatArray:
 
 
 class AxisPathBuilder:
-    """Turn segments into machine axes, batch by batch; within the period a kink shows as jerk."""
+    """Turn segments into machine axes, batch by batch; within the period a kink shows as jerk.
 
-    def __init__(self, transform: Transform, flank_height: float, period: float):
+    ``spins`` (n, 10): for an arm, what turns its tool on each segment that comes (``SPIN``).
+    """
+
+    def __init__(
+        self,
+        transform: Transform,
+        flank_height: float,
+        period: float,
+        spins: FloatArray | None = None,
+    ):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
         self._begun, self._branch = False, 1.0
@@ -73,7 +82,7 @@ class AxisPathBuilder:
             from cnc_interp.kinematics.joint_passage import JointPassages
 
             self._axes = np.arange(len(self.machine.axis_names))
-            self._joints = JointPassages(transform, flank_height)
+            self._joints = JointPassages(transform, flank_height, spins)
         else:
             extra = 5 + np.arange(len(self.machine.extra_names))
             self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])

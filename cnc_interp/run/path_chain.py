@@ -7,7 +7,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from cnc_interp.core import IntArray, InterpError
+from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.planner_tuning import PlanOptions
@@ -57,12 +57,22 @@ class PathPart:
 
 
 class PathChain:
-    """Blocks in, segments and their path in machine axes out."""
+    """Blocks in, segments and their path in machine axes out.
 
-    def __init__(self, transform: Transform, settings: Settings, watch: Stopwatch | None = None):
+    ``spun``: an arm as it begins, and the spins of ``AxisPathBuilder``, if they were chosen.
+    """
+
+    def __init__(
+        self,
+        transform: Transform,
+        settings: Settings,
+        watch: Stopwatch | None = None,
+        spun: tuple[Transform, FloatArray] | None = None,
+    ):
         self._smoother = smoother_of(transform, settings)
         height, period = settings.flank_height, settings.interpolation_period
-        self._builder = AxisPathBuilder(transform, height, period)
+        leads, spins = spun or (transform, None)
+        self._builder = AxisPathBuilder(leads, height, period, spins)
         self._watch = watch or Stopwatch()
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from cnc_interp.core import BlockError, InterpError, PlanningError, ProgramError
+from cnc_interp.core import BlockError, FloatArray, InterpError, PlanningError, ProgramError
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.planner_tuning import PlanOptions, wanted_tool
@@ -22,7 +22,7 @@ from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Interpolator, Setpoints
-from cnc_interp.run.spin_choice import with_spin
+from cnc_interp.run.spin_choice import SpinSearch
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -51,10 +51,10 @@ class Chain:
         start: StartFinder | None = None,
         processes: int = 1,
         setup: str = '',
-        transform: Transform | None = None,
+        spun: tuple[Transform, FloatArray] | None = None,
     ):
         self._sink, self._watch, self._start = sink, Stopwatch(clock), start
-        self.path = PathChain(transform or Transform.of(machine), settings, self._watch)
+        self.path = PathChain(Transform.of(machine), settings, self._watch, spun)
         period = settings.interpolation_period
         tool = wanted_tool(machine, settings)
         planning = Planning(limits_at(machine, period), PlanOptions(), tool)
@@ -173,11 +173,13 @@ def planned(
 ) -> Iterator[Chain]:
     """Plan a program into a sink while it is read, and hand over the chain while it is open."""
     parts = iter(stream)
-    if settings.spin == 'auto' and isinstance(transform, JointChain):
+    spun = None
+    if settings.spin != 'fixed' and isinstance(transform, JointChain):
         with at_fault(stream.source):
             program = Blocks.concatenate(list(parts))
-            transform, why = with_spin(transform, settings, program)
-        stream.note((int(program.line_number[0]), why))
+            choice = SpinSearch(transform, settings, program).chosen()
+        spun = choice.chain, choice.spins
+        stream.note((int(program.line_number[0]), choice.why))
         parts = iter([program])
     chain = Chain(
         transform.machine,
@@ -186,7 +188,7 @@ def planned(
         start=start,
         processes=processes,
         setup=stream.setup,
-        transform=transform,
+        spun=spun,
     )
     chain.overrides = overrides
     with closing(chain), at_fault(stream.source), chain.refusals_in_order():

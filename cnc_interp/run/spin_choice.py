@@ -1,10 +1,17 @@
-"""The turn of an arm's tool about its axis: one constant for a program, by its planned time.
+"""The turn of an arm's tool about its axis, chosen by the planned time of each cut.
 
-Many spins, in all configurations of the first pose, are followed along the poses. Some of those
-that stay within travel and away from singular poses are planned; the fastest one counts.
+A cut lasts from one rapid move to the next. Many spins are followed along its poses, and some of
+those that stay within travel and away from singular poses are planned. From cut to cut the spin
+changes on the rapid moves between them. ``best`` then bends the spin of a cut into a quartic.
 """
 
-from math import inf
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from math import inf, pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,81 +19,252 @@ from cnc_interp.core import DEG, BlockError, FloatArray, InterpError
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import plan_path
-from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
+from cnc_interp.kinematics.path_ahead import PathAhead
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.segment_axes import FOLLOWING, NO_GUIDE
 from cnc_interp.machine_model.chain_kernels import followed
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.path_chain import PathChain, batches
+from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.options import Settings
 
 SPINS = np.arange(24) * 15.0 * DEG  #: That are followed, beside the one of the machine file.
 SAME = 1e-9  #: Spins that differ less are one [rad].
 EVERY, OTHERS = 3, 4  #: Each third of them is planned, and so many others with the least turns.
-MOST_POSES, MOST_BLOCKS = 600, 2000  #: That are followed, and planned, of a long program.
+#: Powers of u of the Legendre polynomials on 0 ... 1, from the lowest on.
+LEGENDRE = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0, 0.0],
+        [-1.0, 2.0, 0.0, 0.0, 0.0],
+        [1.0, -6.0, 6.0, 0.0, 0.0],
+        [-1.0, 12.0, -30.0, 20.0, 0.0],
+        [1.0, -20.0, 90.0, -140.0, 70.0],
+    ]
+)
+KEPT = 3  #: Fastest ways to the end of a cut that the next cut may continue.
+MOST_POSES = 600  #: That are followed on a cut.
+#: First step of the search for a quartic [rad], its rounds of ten plans, the gain that counts [-].
+BEND, ROUNDS, GAIN = 20.0 * DEG, 5, 1e-4
 
 
-def with_spin(chain: JointChain, settings: Settings, blocks: Blocks) -> tuple[JointChain, str]:
-    """Return the chain with the best spin and configuration for blocks, and how it was chosen."""
-    tips, axes = _poses(blocks)
-    ways, furthest = list[tuple[float, int, JointChain]](), 0
-    spins = [chain.spin, *(float(spin) for spin in SPINS if abs(spin - chain.spin) > SAME)]
-    for number, spin in enumerate(spins):
-        spun, found = chain.spun(spin), list[tuple[float, int, JointChain]]()
-        for start in spun.branches(tips[0], axes[0]):
-            q, least = followed(spun.packed, tips, axes, start)
-            furthest = max(furthest, len(q))
-            shift = _shift(q, chain.machine.travel)
-            if len(q) == len(tips) and least > chain.least and np.isfinite(shift).all():
-                turned = np.abs(np.diff(q, axis=0)) / chain.machine.max_velocity
-                way = float(turned.max(axis=1).sum())
-                found.append((way, number, spun.starting(start + shift)))
-        ways += sorted(found, key=lambda one: one[0])[:1]
-    some = blocks[:MOST_BLOCKS]
-    ways.sort(key=lambda one: (one[1] % EVERY > 0, one[0]))
-    planned = ways[: sum(one[1] % EVERY == 0 for one in ways) + OTHERS]
-    times = [(_time(one, settings, some), one) for _, _, one in planned]
-    time, best_chain = min(times, key=lambda each: each[0], default=(inf, chain))
-    if not np.isfinite(time):
-        row = int(np.linspace(0, len(blocks) - 1, len(tips))[min(furthest, len(tips) - 1)])
-        raise BlockError(
-            f'no constant spin of {chain.machine.name} follows the program further than about '
-            'here, within the travel and away from singular poses; move the part',
-            int(blocks.line_number[row]),
-        )
-    told = f'spin {best_chain.spin / DEG:g} deg, the fastest of {len(times)} that were planned'
-    part = f' for the first {MOST_BLOCKS} blocks' if len(blocks) > MOST_BLOCKS else ''
-    return best_chain, f'{told}{part}, of {len(ways)} that can follow it'
+@dataclass(frozen=True)
+class SpinChoice:
+    chain: JointChain  #: It begins in the configuration that was chosen.
+    spins: FloatArray  #: (n, 10): For each segment, the septic of the spin, as in ``guides``.
+    why: str  #: How it was chosen.
 
 
-def _poses(blocks: Blocks) -> tuple[FloatArray, FloatArray]:
-    """Return poses at even shares of the rows, between them on chords."""
-    row = np.linspace(0.0, len(blocks) - 1.0, max(MOST_POSES, 2))
-    known = np.arange(len(blocks))
-    both = np.hstack([blocks.tip, blocks.axis])
-    poses = np.stack([np.interp(row, known, column) for column in both.T], axis=1)
-    axes = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    return np.ascontiguousarray(poses[:, :3]), np.ascontiguousarray(axes)
+class _Way(NamedTuple):
+    """How the program is followed up to the start, or to the end, of a cut."""
+
+    start: FloatArray  # (n,): joints at the first pose of the program [rad]
+    here: FloatArray  # (n,): joints where it has come to
+    time: float  # of the cuts so far [s]
+    curves: tuple[FloatArray, ...]  # (8,): the septic of the spin on each cut
+    turning: float = 0.0  # least time in which the joints turn on the cut that comes [s]
+
+
+class SpinSearch:
+    def __init__(self, chain: JointChain, settings: Settings, blocks: Blocks):
+        self._chain, self._settings = chain, settings
+        self._segments = segments_of(blocks, chain, settings)
+        self._limits = limits_at(chain.machine, settings.interpolation_period)
+        n, height = len(self._segments), settings.flank_height
+        nothing = np.full(n, FOLLOWING), np.tile(NO_GUIDE, (n, 1))
+        self._ends = PathAhead.of(height, self._segments, *nothing).ends
+        cutting = np.isfinite(self._segments.feed).any(axis=1)
+        edges = np.flatnonzero(np.diff(cutting, prepend=False, append=False)).tolist()
+        self._cuts = list(zip(edges[::2], edges[1::2], strict=True)) or [(0, n)]
+        # What is rapid before the first cut, and after the last one, has the spin of that cut.
+        self._cuts[0] = 0, self._cuts[0][1]
+        self._cuts[-1] = self._cuts[-1][0], n
+        self._plans = self._furthest = 0
+
+    def chosen(self) -> SpinChoice:
+        """Return the spins of all segments; raises BlockError where no constant spin can go."""
+        nothing = np.zeros(0)
+        ways = [_Way(nothing, nothing, 0.0, ())]
+        for number in range(len(self._cuts)):
+            ways = self._further(ways, number)
+        curves, tried = ways[0].curves, self._plans
+        text = f'{len(curves)} spins, one for each cut'
+        if len(curves) == 1:
+            text = f'spin {curves[0][0] / DEG:g} deg'
+        text += f', the fastest of {tried} ways that were planned'
+        if self._settings.spin == 'best':
+            curves, saved = self._bent(ways[0])
+            text += f'; bending it saves {saved:.1%} of the time'
+        chain = self._chain.spun(float(curves[0][0])).starting(ways[0].start)
+        return SpinChoice(chain, self._rows(curves), text)
+
+    def _further(self, ways: list[_Way], number: int) -> list[_Way]:
+        """Return the fastest ways that go on to the end of a cut, the fastest first."""
+        first, last = self._cuts[number]
+        self._furthest = 0
+        done = self._planned(ways, number, True) or self._planned(ways, number, False)
+        if not done:
+            row = int(
+                np.linspace(first, last - 1, MOST_POSES)[min(self._furthest, MOST_POSES - 1)]
+            )
+            remedy = 'retract before it with more room to turn, or move the part'
+            raise BlockError(
+                f'no constant spin of {self._chain.machine.name} follows the cut further than '
+                f'about here, within the travel and past singular poses; '
+                f'{remedy if number else "move the part"}',
+                int(self._segments.line_number[row]),
+            )
+        return done
+
+    def _planned(self, ways: list[_Way], number: int, avoids: bool) -> list[_Way]:
+        """Return the fastest ways on; where it ``avoids`` them, away from singular poses."""
+        first, last = self._cuts[number]
+        best, spins = dict[int, _Way](), [self._chain.spin]
+        spins += [float(spin) for spin in SPINS if abs(spin - self._chain.spin) > SAME]
+        for way in ways:
+            for count, spin in enumerate(spins):
+                for begun in self._begun(way, spin, number, avoids):
+                    before = best.setdefault(count, begun)
+                    if begun.time + begun.turning < before.time + before.turning:
+                        best[count] = begun
+        some = sorted(best.items(), key=lambda one: (one[0] % EVERY > 0, one[1].turning))
+        done = list[_Way]()
+        for _, way in some[: sum(count % EVERY == 0 for count in best) + OTHERS]:
+            rows = self._rows(way.curves)[first:last]
+            path = self._follow(rows, way.here, first, last)
+            if path is not None:
+                time = way.time + self._time(path)
+                done.append(way._replace(here=path.cell_right[0, -1].copy(), time=time))
+        return sorted((way for way in done if way.time < inf), key=lambda way: way.time)[:KEPT]
+
+    def _begun(self, way: _Way, spin: float, number: int, avoids: bool) -> Iterator[_Way]:
+        """Yield the ways to the start of a cut from which a constant spin can follow it."""
+        first, last = self._cuts[number]
+        poses, (low, high) = self._poses(first, last), self._chain.machine.travel.T
+        chain = self._chain.spun(spin)
+        if number:
+            spin += 2.0 * pi * round((float(way.curves[-1][0]) - spin) / (2.0 * pi))
+        curve = np.array([spin] + [0.0] * 7)
+        starts = self._arrivals(way, curve, number)
+        if not number:
+            starts = list(chain.branches(poses[0][0], poses[1][0]))
+        for start in starts:
+            q, least = followed(chain.packed, *poses, start)
+            self._furthest = max(self._furthest, len(q))
+            shift = np.zeros(len(start)) if number else _shift(q, self._chain.machine.travel)
+            inside = ((q + shift >= low) & (q + shift <= high)).all()
+            if not avoids and (len(q) < len(poses[0]) or least <= chain.least):
+                yield _Way(way.start if number else start, start, way.time, (*way.curves, curve))
+            elif len(q) == len(poses[0]) and least > chain.least and inside:
+                turned = np.abs(np.diff(q, axis=0)) / self._chain.machine.max_velocity
+                here = start + shift
+                begin = way.start if number else here
+                turning = float(turned.max(axis=1).sum())
+                yield _Way(begin, here, way.time, (*way.curves, curve), turning)
+
+    def _arrivals(self, way: _Way, curve: FloatArray, number: int) -> list[FloatArray]:
+        """Return the joints with which a way arrives at a cut, if it can turn to its spin."""
+        first, last = self._cuts[number - 1][1] if number else 0, self._cuts[number][0]
+        if first >= last:
+            kept = number > 0 and curve[0] == way.curves[-1][0]
+            return [way.here] if kept else []
+        rows = self._rows((*way.curves, curve))[first:last]
+        path = self._follow(rows, way.here, first, last)
+        return [] if path is None else [path.cell_right[0, -1].copy()]
+
+    def _poses(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
+        """Return poses at even shares of segments, between them on chords."""
+        row = np.linspace(first, last - 1.0, MOST_POSES)
+        known, some = np.arange(first, last), slice(first, last)
+        both = np.hstack([self._segments.bottom[some, 0], self._segments.axis[some]])
+        poses = np.stack([np.interp(row, known, column) for column in both.T], axis=1)
+        axes = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+        return np.ascontiguousarray(poses[:, :3]), np.ascontiguousarray(axes)
+
+    def _rows(self, curves: Sequence[FloatArray]) -> FloatArray:
+        """Return the spin of each segment up to the end of the last of these cuts, (n, 10)."""
+        found = np.zeros((self._cuts[len(curves) - 1][1], 10))
+        for number, curve in enumerate(curves):
+            first, last = self._cuts[number]
+            if number:
+                before = self._cuts[number - 1][1]
+                ramp, lengths = np.empty(8), self._ends[[self._cuts[number - 1][0], before, first]]
+                jets = (
+                    np.array(septic_jet(curves[number - 1], 1.0, lengths[1] - lengths[0])),
+                    np.array(septic_jet(curve, 0.0, self._ends[last] - lengths[2])),
+                )
+                if first > before:
+                    septic_coefficients(*jets, lengths[2] - lengths[1], ramp)
+                    self._lead(found, before, first, ramp)
+            self._lead(found, first, last, curve)
+        return found
+
+    def _lead(self, rows: FloatArray, first: int, last: int, curve: FloatArray) -> None:
+        rows[first:last, 0] = self._ends[first:last] - self._ends[first]
+        rows[first:last, 1], rows[first:last, 2:] = self._ends[last] - self._ends[first], curve
+
+    def _follow(self, rows: FloatArray, q: FloatArray, first: int, last: int) -> AxisPath | None:
+        """Return the path of segments from joints on, at rest at both ends; None if refused."""
+        segments = self._segments[first:last]
+        stop = segments.stop.copy()
+        stop[-1] = True
+        chain = self._chain.spun(float(septic_jet(rows[0, 2:], rows[0, 0] / rows[0, 1], 1.0)[0]))
+        given = self._settings.flank_height, self._settings.interpolation_period, rows
+        try:
+            builder = AxisPathBuilder(chain.starting(q), *given)
+            return builder.push(replace(segments, stop=stop))
+        except InterpError:
+            return None
+
+    def _time(self, path: AxisPath) -> float:
+        """Return the time of a path [s], infinite if it cannot be planned."""
+        self._plans += 1
+        try:
+            return float(plan_path(path, self._limits, PlanOptions(bound=False)).law.end_time)
+        except InterpError:
+            return inf
+
+    def _bent(self, way: _Way) -> tuple[tuple[FloatArray, ...], float]:
+        """Return the fastest quartics near the constants of a way, and the share they save."""
+        curves, here, n = list(way.curves), way.start, len(self._segments)
+        for number, (_, end) in enumerate(self._cuts):
+            first = self._cuts[number - 1][1] if number else 0
+            last = self._cuts[number + 1][0] if number + 1 < len(curves) else n
+            time, bend, step = self._time_of(curves, here, first, last), np.zeros(5), BEND
+            for _ in range(ROUNDS):
+                gained = False
+                for order, sign in product(range(5), (1.0, -1.0)):
+                    moved, trial = bend.copy(), curves.copy()
+                    moved[order] += sign * step
+                    trial[number] = _bent_by(way.curves[number], moved)
+                    found = self._time_of(trial, here, first, last)
+                    if found < (1.0 - GAIN) * time:
+                        time, bend, curves, gained = found, moved, trial, True
+                step = step if gained else 0.5 * step
+            path = self._follow(self._rows(curves)[first:end], here, first, end)
+            here = here if path is None else path.cell_right[0, -1].copy()
+        before, after = (self._time_of(some, way.start, 0, n) for some in (way.curves, curves))
+        return (tuple(curves), 1.0 - after / before) if after < before else (way.curves, 0.0)
+
+    def _time_of(
+        self, curves: Sequence[FloatArray], here: FloatArray, first: int, last: int
+    ) -> float:
+        path = self._follow(self._rows(curves)[first:last], here, first, last)
+        return inf if path is None else self._time(path)
+
+
+def _bent_by(curve: FloatArray, bend: FloatArray) -> FloatArray:
+    """Add a quartic, by its Legendre coefficients over a cut [rad]."""
+    found = curve.copy()
+    found[:5] += LEGENDRE.T @ bend
+    return found
 
 
 def _shift(q: FloatArray, travel: FloatArray) -> FloatArray:
     """Return the whole turns (n,) [rad] that bring a motion into its travel, NaN if none does."""
-    turn = 2.0 * np.pi
+    turn = 2.0 * pi
     low, high = (
         np.ceil((travel[:, 0] - q.min(axis=0)) / turn),
         np.floor((travel[:, 1] - q.max(axis=0)) / turn),
     )
     return np.where(low <= high, turn * np.clip(0.0, low, high), np.nan)
-
-
-def _time(chain: JointChain, settings: Settings, blocks: Blocks) -> float:
-    """Return the time of blocks [s], infinite if they cannot be executed."""
-    path_chain = PathChain(chain, settings)
-    limits = limits_at(chain.machine, settings.interpolation_period)
-    try:
-        parts = [path_chain.push(batch).path for batch in batches(blocks)]
-        paths = [path for path in (*parts, path_chain.finish().path) if path is not None]
-        if not paths:
-            return inf
-        return plan_path(AxisPath.join(paths), limits, PlanOptions(bound=False)).law.end_time
-    except InterpError:
-        return inf

@@ -193,9 +193,10 @@ class Settings:
         'feedrate of the plunge to a place inside the program',
     )
     spin: str = kinds.one_of(
-        ('fixed', 'auto'),
+        ('fixed', 'auto', 'best'),
         kinds.Stage.OFFLINE,
-        'turn of the tool of an arm about its axis; auto: the constant one of the fastest motion',
+        'turn of the tool of an arm about its axis; auto: the fastest constant for each cut; '
+        'best: a curve for each cut, which takes longer to find',
     )
 
     def __post_init__(self) -> None:

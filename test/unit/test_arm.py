@@ -16,7 +16,9 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
 from cnc_interp.proof.own_chain import OwnChain
 from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run import spin_choice
 from cnc_interp.run.planning_chain import plan_to_files
+from cnc_interp.run.spin_choice import SpinSearch
 from cnc_interp.settings.options import Settings
 
 ARMS = ('ur10e', 'm710ic_50')
@@ -294,6 +296,57 @@ def test_spin_auto_is_faster_than_the_one_of_the_machine_file(tmp_path, capsys):
         assert main(['check', str(out)]) == 0
         times[spin] = json.loads((out / 'summary.json').read_text())['cycle_time']
     assert times['auto'] < times['fixed']
+
+
+CUTS = """UNITS/MM
+FEDRAT/9000,MMPM
+GOTO/-60,-40,0,0,0,1
+GOTO/60,-40,0,0.1,0,0.994987437
+GOTO/60,40,0,0,0.1,0.994987437
+RAPID
+GOTO/60,40,60,0,0,1
+RAPID
+GOTO/-60,100,60,0,0,1
+FEDRAT/9000,MMPM
+GOTO/-60,100,0,0,0.3,0.953939201
+GOTO/-60,40,0,-0.3,0,0.953939201
+GOTO/-60,-40,5,0,0,1
+FINI
+"""
+
+
+def test_the_spin_changes_between_cuts_only(tmp_path, monkeypatch):
+    # Each cut may have one spin only, and the two differ.
+    machine = Machine.load('m710ic_50')
+    monkeypatch.setattr(spin_choice, 'SPINS', np.radians([40.0, 90.0]))
+    further = SpinSearch._begun
+
+    def one_each(self, way, spin, number, avoids):
+        if abs(spin - np.radians([40.0, 90.0][number])) < 1e-9:
+            yield from further(self, way, spin, number, avoids)
+
+    monkeypatch.setattr(SpinSearch, '_begun', one_each)
+    planned(CUTS, tmp_path, machine, spin='auto')
+    proof = verify_plan(tmp_path / 'out', machine)
+    assert proof.ok, proof.failures
+    columns, chain = np.load(tmp_path / 'out/setpoints.npz'), Transform.of(machine)
+    rows = np.load(tmp_path / 'out/blocks.npz')['line']
+    q = columns['position']
+    axes = chain.forward(q)[1]
+    spins = np.degrees([spin_of(chain, *row) for row in zip(q, axes, strict=True)]) % 360.0
+    for lines, spin in (((4, 5), 40.0), ((11, 12, 13), 90.0)):
+        cut = np.isin(rows[columns['block']], lines)
+        assert cut.any()
+        assert np.abs(spins[cut] - spin).max() < 1e-6
+
+
+def test_best_bends_the_spin_and_is_not_slower(tmp_path):
+    machine, times = Machine.load('ur10e'), {}
+    for spin in ('auto', 'best'):
+        times[spin] = planned(CUTS, tmp_path, machine, spin=spin)['cycle_time']
+        proof = verify_plan(tmp_path / 'out', machine)
+        assert proof.ok, proof.failures
+    assert times['best'] <= times['auto']
 
 
 def test_spin_auto_goes_where_the_fixed_spin_cannot(tmp_path):

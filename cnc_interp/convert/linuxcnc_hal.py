@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 
 from cnc_interp.convert.hal_board import Inputs, Loads, Row, connected, rows_of
-from cnc_interp.convert.linuxcnc_wiring import Wiring
+from cnc_interp.convert.linuxcnc_wiring import PINS, Wiring
 from cnc_interp.core import InterpError
 from cnc_interp.machine.hal_pins import (
     NO_SIGNALS,
@@ -18,7 +18,13 @@ from cnc_interp.machine.hal_pins import (
     seen,
     sent,
 )
-from cnc_interp.machine_model.signals import Signals, home_input, index_signals, square_output
+from cnc_interp.machine_model.signals import (
+    Signals,
+    home_input,
+    index_signals,
+    limit_inputs,
+    square_output,
+)
 
 #: Modules of the motion controller, by name or as the INI file names them.
 MOTION = re.compile(r'motmod|tpmod|homemod|[\w-]+kins|\[(KINS|EMCMOT|TRAJ)\].*')
@@ -31,26 +37,6 @@ ENABLE = re.compile(r'joint\.\d+\.amp-enable-out|motion\.motion-enabled|halui\.m
 RELEASED, LOOP = 'iocontrol.0.emc-enable-in', 'iocontrol.0.user-enable-out'
 RESET = 'iocontrol.0.user-request-enable'
 STOP = 'cnc-released'  #: The signal that takes the place of that of the emergency stop.
-#: Pins of LinuxCNC whose signals outputs and inputs of these names take over.
-PINS = {
-    'spindle_forward': 'spindle.0.forward',
-    'spindle_reverse': 'spindle.0.reverse',
-    'spindle_at_speed': 'spindle.0.at-speed',
-    'spindle_angle': 'spindle.0.revs',
-    'spindle_orient': 'spindle.0.orient',
-    'spindle_orient_angle': 'spindle.0.orient-angle',
-    'spindle_oriented': 'spindle.0.is-oriented',
-    'coolant_flood': 'iocontrol.0.coolant-flood',
-    'coolant_mist': 'iocontrol.0.coolant-mist',
-    'tool_change': 'iocontrol.0.tool-change',
-    'tool_changed': 'iocontrol.0.tool-changed',
-    'probe': 'motion.probe-input',
-} | {
-    f'{kind}_{way}_{k}': f'motion.{kind}-{way}-{k:02d}'
-    for kind in ('digital', 'analog')
-    for way in ('out', 'in')
-    for k in range(64)
-}
 NUMBER = 'iocontrol.0.tool-prep-number'  #: The number of the tool, a whole one there.
 SPINDLE_FAULT = 'spindle.0.amp-fault-in'
 #: Functions that take the place of those of the motion controller.
@@ -226,9 +212,21 @@ class _Conversion:
             if home in inputs:
                 place[f'{of}home-sw-in'] = inputs[home]
         place |= {f'joint.{k}.vel-cmd': velocity for k in joints}
+        for limit, way in zip(limit_inputs(letter), ('neg', 'pos'), strict=True):
+            self._limit(limit, [f'joint.{k}.{way}-lim-sw-in' for k in joints], inputs)
         self.needed |= {f'joint.{k}.motor-pos-{way}' for k in joints for way in ('cmd', 'fb')}
         if back:
             board.connect(board.add('scale', f'{x}-from-hal', {'gain': unit}), back)
+
+    def _limit(self, name: str, pins: list[str], inputs: dict[str, str]) -> None:
+        """Connect the limit switches at one end of an axis: of all its motors."""
+        given = [pin for pin in pins if pin in self.final]
+        if name not in inputs or not given:
+            return
+        self.place[given[0]] = inputs[name]
+        if len(given) == 2:
+            self.place |= {pin: f'{name}.in{k}' for k, pin in enumerate(given)}
+            self.board.connect(self.board.add('or2', name), inputs[name])
 
     def _index(
         self, x: str, asked: str, command: str, actual: str, offset: str, unit: float

@@ -8,6 +8,27 @@ from cnc_interp.convert.linuxcnc_files import UNITS, Ini, number
 from cnc_interp.core import DEG, INCH, MM
 from cnc_interp.machine_model.machine import Machine
 
+#: Pins of LinuxCNC whose signals outputs and inputs of these names take over.
+PINS = {
+    'spindle_forward': 'spindle.0.forward',
+    'spindle_reverse': 'spindle.0.reverse',
+    'spindle_at_speed': 'spindle.0.at-speed',
+    'spindle_angle': 'spindle.0.revs',
+    'spindle_orient': 'spindle.0.orient',
+    'spindle_orient_angle': 'spindle.0.orient-angle',
+    'spindle_oriented': 'spindle.0.is-oriented',
+    'coolant_flood': 'iocontrol.0.coolant-flood',
+    'coolant_mist': 'iocontrol.0.coolant-mist',
+    'tool_change': 'iocontrol.0.tool-change',
+    'tool_changed': 'iocontrol.0.tool-changed',
+    'probe': 'motion.probe-input',
+} | {
+    f'{kind}_{way}_{k}': f'motion.{kind}-{way}-{k:02d}'
+    for kind in ('digital', 'analog')
+    for way in ('out', 'in')
+    for k in range(64)
+}
+
 
 @dataclass(frozen=True)
 class Wiring:

@@ -81,6 +81,7 @@ class Cycle:
         together: float = 0.0,
         spindle: Spindle | None = None,
         by_speed: kernel.SpeedOutputs | None = None,
+        switches: Sequence[tuple[int, int, int]] = (),
     ):
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
@@ -99,6 +100,7 @@ class Cycle:
             stands=np.zeros(n),
             spindle=spindle or Spindle.without(outputs),
             by_speed=by_speed or speed_outputs(()),
+            switches=np.array([(*row, 1) for row in switches], dtype=np.int64).reshape(-1, 4),
             records=np.zeros((kept, 4), dtype=np.int64),
             measured=np.zeros((kept, 5, n)),
             late=np.zeros(RECORD, dtype=np.int64),
@@ -184,6 +186,11 @@ class Cycle:
     def mute(self, mutes: bool) -> None:
         """Leave the outputs as they are, whatever is played, or let setpoints switch them."""
         publish(self._control, kernel.MUTE, int(mutes))
+
+    def watch_limits(self, axes: Sequence[int], watched: bool) -> None:
+        """Let the limit switches of axes stop a motion, or not, as while they are homed."""
+        rows = self._memory.switches
+        rows[np.isin(rows[:, 1], axes), 3] = watched
 
     def halt(self) -> None:
         publish(self._control, kernel.HALT, self._control[kernel.HALT] + 1)

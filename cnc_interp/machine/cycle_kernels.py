@@ -28,6 +28,7 @@ RESTS, NEXT, SPEEDS, TAIL_SPEEDS, COLUMNS = range(10, 15)
 NONE = -1  #: No chunk comes next, so far.
 #: After a longer stall of the computer the clock starts anew and does not catch up [ns].
 LONGEST_CATCH_UP = 500_000_000
+AT_LIMIT = 1000  #: Number of the alarm of the first limit switch; others follow.
 CALM = 1000  #: Steps at rest after which periods pass together.
 
 
@@ -56,6 +57,8 @@ class Memory(NamedTuple):
     probe: IntArray  #: The numbers of the output ``ARMED`` and of the input ``PROBE``; or (0,).
     spindle: Spindle
     by_speed: SpeedOutputs
+    #: (m, 4): Limit switches: input, axis, side (-1 or 1), and whether it is watched.
+    switches: IntArray
     stands: FloatArray  #: (n_axes,): Where a line in step with the spindle began [m, rad].
     records: IntArray  #: (count, 4): Source, serial, row of a period; what happened.
     #: (count, 5, n_axes): Actual position, velocity; setpoint answered; setpoint; the angle first.
@@ -203,6 +206,17 @@ def _follow_speed(memory: Memory) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _limit_met(memory: Memory) -> int:
+    """Return the number of the alarm of an axis that moves on at its limit switch; 0 without."""
+    for k in range(len(memory.switches)):
+        number, axis, side, watched = memory.switches[k]
+        onward = memory.setpoint[1, axis] * side > 0.0
+        if watched and onward and memory.inputs[number] != 0.0:
+            return AT_LIMIT + k
+    return 0
+
+
+@njit(cache=True, nogil=True)
 def advance(memory: Memory, step: int) -> None:
     control, records = memory.control, memory.records
     events = _choose(memory)
@@ -237,6 +251,10 @@ def advance(memory: Memory, step: int) -> None:
         events |= ALARMED | (-fault << ALARM_SHIFT)
         control[LEAVE] = 1  # takes the stop tail of this chunk
     control[ALARM] = min(fault, 0)
+    limit = _limit_met(memory) if control[SOURCE] == CHUNK else 0
+    if limit:
+        events |= ALARMED | (limit << ALARM_SHIFT)
+        control[LEAVE] = 1
     if control[SOURCE] in (CHUNK, TAIL) and _probe_answers(memory):
         events |= PROBED
         control[LEAVE] = 1

@@ -153,6 +153,7 @@ class Homing:
     def forget(self) -> None:
         """Count all axes with a switch as not homed, as after the drives were off."""
         self._unknown = set(self._machine.homing.switches)
+        self._watch_limits(True)
         self._groups, self._stages = [], {}
 
     def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:
@@ -182,13 +183,20 @@ class Homing:
         self._next()
         return tuple(name for group in groups for name in group)
 
+    def _watch_limits(self, watched: bool) -> None:
+        axes = [self._names.index(name) for name in self._stages]
+        self._playback.cycle.watch_limits(axes, watched)
+
     def _next(self) -> None:
+        self._watch_limits(True)
         group = self._groups.pop(0) if self._groups else ()
         if group:
             self._switches.lose(group)
         self._stages = dict.fromkeys(group, AxisHoming.SEARCHES)
+        self._watch_limits(False)
 
     def stop(self, now: float) -> None:
+        self._watch_limits(True)
         self._switches.square(self._names, False)
         self._groups, self._stages = [], {}
         self._jog.beat({}, 0.0, now)

@@ -38,6 +38,7 @@ from cnc_interp.machine_model.signals import (
     RESET,
     SINCE,
     STOPS,
+    limit_inputs,
 )
 from cnc_interp.run.run_state import NO_RUN, Event, Reason, RunId, RunState, State, WaitsFor
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
@@ -121,6 +122,12 @@ class Playback:
         self.drives, self._full = drives, full
         self._together = min(round(TOGETHER / period), full // 4)
         self._delayed = drives if isinstance(drives, DelayedDrives) else None
+        self._limits = [
+            (number, axis, side)
+            for axis, name in enumerate(machine.axis_names)
+            for side, each in zip((-1, 1), limit_inputs(name), strict=True)
+            if (number := machine.signals.input(each)) >= 0
+        ]
         step, memory = int(follow_ideally.address), np.zeros(1)
         if isinstance(drives, CycleDrives):
             step, memory = drives.step, drives.memory
@@ -138,6 +145,7 @@ class Playback:
             drives.calm,
             self.spindle,
             speed_outputs(machine.signals.wires),
+            self._limits,
         )
         self._signals = machine.signals
         self.followed: deque[Followed] = deque()  # until they are published
@@ -438,7 +446,7 @@ class Playback:
         if source in (kernel.CHUNK, kernel.FOLLOW):
             self.plans.take(int(records.serial[0]))
         if events & kernel.ALARMED:
-            self._alarm(self.drives.fault(events >> kernel.ALARM_SHIFT))
+            self._alarm(self._cause(events >> kernel.ALARM_SHIFT))
         if events & kernel.STARVED:
             self._starve()
         if source == kernel.TAIL and not self.plans.on_tail:
@@ -466,6 +474,13 @@ class Playback:
             self._play(self.plans.rows[first : self.plans.row + 1], records)
             if events & kernel.PROBED:
                 self._see_answer(number)
+
+    def _cause(self, number: int) -> str:
+        if number < kernel.AT_LIMIT:
+            return self.drives.fault(number)
+        _, axis, side = self._limits[number - kernel.AT_LIMIT]
+        name, end = self.axes.machine.axis_names[axis], 'upper' if side > 0 else 'lower'
+        return f'{name} is on its {end} limit switch; after the reset jog it off'
 
     def _starve(self) -> None:
         """Leave the plan: the next setpoints are late, or will never come."""

@@ -101,6 +101,11 @@ def numbered_word(code: str, values: Mapping[str, float]) -> str:
     return f'{word} {letter}{int(number)}' + (f' L{int(mode)}' if code == 'M66' else '')
 
 
+def limit_inputs(axis: str) -> tuple[str, str]:
+    """Return the inputs of the limit switches at the lower and at the upper end of an axis."""
+    return f'limit_{axis.lower()}_low', f'limit_{axis.lower()}_high'
+
+
 def square_output(axis: str) -> str:
     """Return the output that lets the motors of a gantry stop one by one at their switches."""
     return f'square_{axis.lower()}'

@@ -348,3 +348,23 @@ net closed latch.ok-out => iocontrol.0.emc-enable-in""",
     delays = dict(re.findall(r'setp (\w+)-asked.on-delay (\S+)', made))
     assert 0.0 < float(delays['estop']) < float(delays['power'])
     assert not [line for line in left_out if 'stop' in line]
+
+
+@pytest.mark.parametrize('joints', ['XYZ', 'XYZY'])
+def test_limit_switches_are_inputs_of_their_axis(joints):
+    text = HAL + ''.join(
+        f'net low-{k} parport.0.pin-1{k}-in => joint.{k}.neg-lim-sw-in\n'
+        for k in range(len(joints))
+        if joints[k] == 'Y'
+    )
+    if len(joints) == 4:
+        text += 'net second joint.3.motor-pos-cmd => joint.3.motor-pos-fb\n'
+    inputs = {'inputs': {'limit_y_low': None}}
+    nets, _, _, left_out = converted(text, joints, {'signals': inputs})
+    assert not [line for line in left_out if 'lim-sw' in line]
+    pin = 'wsum.0.bit.5.in'
+    if len(joints) == 4:
+        assert net_of(nets, pin) == {pin, 'limit_y_low.out'}
+        assert net_of(nets, 'parport.0.pin-13-in') == {'parport.0.pin-13-in', 'limit_y_low.in1'}
+    else:
+        assert net_of(nets, 'parport.0.pin-11-in') == {'parport.0.pin-11-in', pin}

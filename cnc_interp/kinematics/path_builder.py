@@ -270,11 +270,11 @@ class AxisPathBuilder:
             tools = self.transform.tool_axis(q[:, 3:5])
         elif segments.interpolation[0] != POSES:
             tips, tools = self.transform.forward(np.concatenate([left[:, 0], right[-1:, 0]]))
-        elif (guided := guides[:, axes.GUIDE_FROM] < 1.0).any():
+        elif self._joints is None and (guided := guides[:, axes.GUIDE_FROM] < 1.0).any():
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             there = np.append(guided[segment], guided[-1])
             there[1:] |= guided[segment]
-            tools[there] = self.transform.forward(q[there])[1]
+            tools[there] = self.transform.tool_axis(q[there, 3:5])
         half = (np.arange(len(steps)) - (ends - counts)[segment] >= early[segment]).astype(int)
         stop = np.zeros(len(steps), dtype=bool)
         stop[ends[counts > 0] - 1] = segments.stop[counts > 0]

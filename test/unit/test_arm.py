@@ -9,14 +9,18 @@ import yaml
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core import BlockError, MachineError, ProgramError, SingularityError
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model import chain_kernels
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine, arms_directory
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.own_chain import OwnChain
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import spin_choice
+from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.run.spin_choice import SpinSearch
 from cnc_interp.settings.options import Settings
@@ -214,6 +218,29 @@ def test_a_joint_leads_past_a_singular_pose_without_a_stop(tmp_path):
     proof = verify_plan(tmp_path / 'out', machine)
     assert proof.ok, proof.failures
     assert not np.load(tmp_path / 'out/path.npz')['stop'][1:-1].any()
+
+
+def test_a_joint_leads_alike_however_the_blocks_arrive(tmp_path):
+    machine, _ = wrist(tmp_path, -20)
+    lean = np.radians([*np.linspace(30.0, 90.0, 40), *[90.0] * 20])
+    way = [*np.linspace(0.0, 15.0, 40), *np.linspace(20.0, 500.0, 20)]
+    lines = [
+        f'GOTO/0,{y},0,{-np.sin(a):.9f},0,{np.cos(a):.9f}' for y, a in zip(way, lean, strict=True)
+    ]
+    file = tmp_path / 'part.apt'
+    file.write_text('\n'.join(['FEDRAT/600', *lines, 'FINI']))
+    chain, settings = Transform.of(machine), Settings()
+    blocks = Blocks.concatenate(list(open_program(file, chain, settings)))
+    segments, paths = segments_of(blocks, chain, settings), []
+    for size in (len(segments), 7, 1):
+        builder = AxisPathBuilder(chain, settings.flank_height, settings.interpolation_period)
+        parts = [builder.push(segments[k : k + size]) for k in range(0, len(segments), size)]
+        paths.append(AxisPath.join([part for part in parts if part is not None]))
+    whole, *others = paths
+    assert whole.q[:, 4].min() < 0.0 < whole.q[:, 4].max()
+    for other in others:
+        for name, column in vars(whole).items():
+            assert np.array_equal(column, getattr(other, name)), name
 
 
 def test_a_line_through_the_wrist_is_refused_with_joint_and_remedy(tmp_path):

@@ -4,12 +4,14 @@ import asyncio
 import logging
 import signal
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import AsyncExitStack
+from concurrent.futures import CancelledError
+from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Any, TypeVar
 
 import dask
 from distributed import Client, Future, Scheduler, Worker, as_completed, get_worker
+from distributed.comm import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from cnc_interp.batch import processes
@@ -29,6 +31,7 @@ class DaskWorkers:
 
     def __init__(self, address: str, memory: float | None, longest: float):
         self._memory, self._longest = memory, longest
+        _keep_quiet()
         try:
             self._client = Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError) as problem:
@@ -61,14 +64,23 @@ class DaskWorkers:
                 if not numbers:
                     return
                 future = next(ended)
+                if future.status in ('cancelled', 'lost'):
+                    raise _lost()
                 yield _end_of(future, numbers.pop(future))
+        except (CommClosedError, CancelledError):
+            raise _lost() from None
         finally:
-            self._client.cancel(list(numbers), force=True)
-            self._client.close()
+            with suppress(OSError, CancelledError, TimeoutError):
+                self._client.cancel(list(numbers), force=True)
+                self._client.close()
 
     @property
     def _ahead(self) -> int:
         return AHEAD * max(1, sum(int(n) for n in self._client.nthreads().values()))
+
+
+def _lost() -> InterpError:
+    return InterpError('the scheduler was lost; start it and the batch again: it goes on')
 
 
 def _end_of(future: Future, number: int) -> processes.EndedCall[Any]:
@@ -139,8 +151,13 @@ def join(address: str, workers: int, say: Callable[[str], None]) -> None:
 
 def _live(life: Coroutine[Any, Any, None]) -> None:
     """Run a part of a cluster. Dask keeps quiet, also when another part is lost."""
-    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+    _keep_quiet()
     asyncio.run(life)
+
+
+def _keep_quiet() -> None:
+    for name in ('distributed', 'distributed.client'):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 async def _until_interrupted(part: Any) -> bool:

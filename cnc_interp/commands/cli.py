@@ -26,6 +26,9 @@ from cnc_interp.commands.plan import (
 )
 from cnc_interp.core import InterpError
 
+#: Options that name what a command writes: their folders are made before it works for minutes.
+WRITTEN = 'out', 'html', 'record', 'export', 'write'
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = None
@@ -34,6 +37,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is signal.SIG_DFL:
                 signal.signal(number, interrupt)
+        for name in WRITTEN:
+            if isinstance(place := getattr(options, name, None), Path):
+                place.parent.mkdir(parents=True, exist_ok=True)
         return int(options.command(options))
     except InterpError as problem:
         print(f'cnc-interp: {problem}', file=sys.stderr)

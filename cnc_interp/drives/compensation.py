@@ -202,11 +202,15 @@ class Compensation:
 
 
 def compensated_model(name: str, machine: Machine) -> Machine:
-    """Load the model of the drives, by name or file; MachineError if it has other axes."""
+    """Load the model of the drives, by name or file; MachineError if it is of another machine."""
     known = Machine.load(name)
     if known.axis_names != machine.axis_names:
         axes = ' '.join(known.axis_names)
         raise MachineError(f'{name} has other axes ({axes})', 'compensation')
+    ours, theirs = machine.limits.by_order, known.limits.by_order
+    if not (np.allclose(ours, theirs) and np.allclose(machine.travel, known.travel)):
+        text = f'{name} has other limits than {machine.name}: it is the model of another machine'
+        raise MachineError(f'{text}; name the file that identify made of this one', 'compensation')
     return known
 
 

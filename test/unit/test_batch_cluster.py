@@ -71,6 +71,27 @@ def test_a_cluster_makes_the_same_table_though_a_worker_is_lost(scheduler, tmp_p
 
 
 @pytest.mark.thorough
+def test_a_lost_scheduler_ends_the_batch_in_one_line(scheduler, tmp_path):
+    part, address = scheduler
+    for k in range(30):
+        (tmp_path / f'{k}.ngc').write_text(LINE.format(f'{k}\nY{k + 1}\nX0'))
+    words = ['batch', str(tmp_path), '--out', str(tmp_path / 'out'), '--scheduler', address]
+    batch = subprocess.Popen(
+        [sys.executable, '-m', 'cnc_interp', *words, '--json'],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while len(list((tmp_path / 'out/results').glob('[0-9a-f]*.json'))) < 2:
+        assert batch.poll() is None
+        time.sleep(0.01)
+    part.end(signal.SIGKILL)
+    told = batch.communicate()[1]
+    assert batch.returncode == BAD_INPUT
+    assert told.count('\n') == 1 and 'the scheduler was lost' in told, told
+
+
+@pytest.mark.thorough
 def test_a_cluster_cuts_needles_with_the_same_bits(scheduler, tmp_path, capsys):
     pytest.importorskip('zarr', reason='needs the optional part tiles')
     _, address = scheduler

@@ -284,3 +284,26 @@ def test_help_needs_neither_compiler_nor_solver():
     run = [sys.executable, '-c', script]
     done = subprocess.run(run, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == '[]'
+
+
+def test_folders_of_what_is_written_are_made(tmp_path, capsys):
+    """Before the work: a fit of a minute is not lost at its end."""
+    out = tmp_path / 'new' / 'folder' / 'excite.ngc'
+    assert main(['excite', '--machine', 'xyzac_tired', '--out', str(out)]) == 0
+    assert out.read_text().startswith('(')
+    (tmp_path / 'file').write_text('')
+    words = ['identify', str(tmp_path / 'bag'), '--out', str(tmp_path / 'file' / 'm.yaml')]
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert 'a file stands where a folder must be' in told and told.count('\n') == 1
+
+
+def test_the_model_of_another_machine_compensates_nothing():
+    from cnc_interp.core import MachineError
+    from cnc_interp.drives.compensation import compensated_model
+    from cnc_interp.machine_model.machine import Machine
+
+    machine = Machine.load('xyzac')
+    assert compensated_model('xyzac_tired', machine).name == 'xyzac_tired'
+    with pytest.raises(MachineError, match='the model of another machine'):
+        compensated_model('xyzac_trt', machine)

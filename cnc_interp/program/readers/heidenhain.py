@@ -10,92 +10,39 @@ import numpy as np
 from cnc_interp.core import DEG, INCH, MINUTE, MM, DependsOn, FloatArray
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.setting_words import tolerances
-from cnc_interp.program.execution.setup_words import cutter_of
 from cnc_interp.program.geometry.arcs import PLANES, Corner
 from cnc_interp.program.job import Tool
 from cnc_interp.program.motion.block_motion import NO_CORNER
-from cnc_interp.program.motion.cycles import Hole, dwell_of, go_along, make_hole, pecks_of
 from cnc_interp.program.readers.heidenhain_frames import HeidenhainFrames
+from cnc_interp.program.readers.heidenhain_holes import HeidenhainHoles
+from cnc_interp.program.readers.heidenhain_words import (
+    AS_CODES,
+    CALL,
+    CALL_FILE,
+    CONDITIONS,
+    CORNER,
+    CYCLE,
+    DECIMAL_COMMA,
+    FN,
+    HEAD,
+    IDLE_M,
+    JUMP,
+    LABEL,
+    OWN_M,
+    PLANE,
+    REFUSED_M,
+    SCALES,
+    SET,
+    SETTING,
+    TOOL_CALL,
+    TURNING,
+    WORD,
+)
 from cnc_interp.program.readers.program_reader import ProgramReader
 from cnc_interp.program.text.cursor import Loop
 from cnc_interp.program.text.expressions import OPERATORS, ExpressionError, formula
 from cnc_interp.program.text.source import LineStart
 from cnc_interp.program.text.words import BlockWords
-
-_DECIMAL_COMMA = re.compile(r'(?<=\d),(?=\d)')  #: Older controls write X+10,5.
-_HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
-_VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'
-_WORD = re.compile(
-    rf'(?P<code>M\d+)\b\.?|(?P<max>FMAX|F\s+MAX|F?AUTO|MB\s*MAX)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
-    rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|I?ROT|DL|DR2?|MB|LA|F|R|S)'
-    rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>[MF])(?=\s|$)|(?P<space>\s+)'
-)
-_TOOL_CALL = re.compile(r'TOOL\s+CALL\s*(?:("[^"]*")|(\d+))?\s*([XYZ])?\s*(.*)')
-_LABEL = re.compile(r'LBL\s*(\d+|"[^"]+"|[A-Z]\w*)')
-_CALL = re.compile(r'CALL\s+LBL\s*(\d+|"[^"]+"|[A-Z]\w*)\s*(?:REP\s*(\d+)\s*(?:/\s*\d+)?)?')
-_CALL_FILE = re.compile(r'CALL\s+PGM\s+(?:\S*[\\/])?([\w-]+?)(?:\.H)?')
-_CYCLE = re.compile(r'CYCLE?\s+DEF\s*(\d+)(?:\.(\d+))?\s*(.*)')
-_SCALES = re.compile(rf'(SCL|(?:CC)?[XYZ])\s*=?\s*({_VALUE})?')
-_FN = re.compile(r'FN\s*(\d+)\s*:\s*(.*)')
-_JUMP = re.compile(rf'IF\s*({_VALUE})\s*([A-Z]+)\s*({_VALUE})\s*GOTO\s*LBL\s*(\d+|"[^"]+"|\w+)')
-_CORNER = re.compile(rf'(RND|CHF)\s*R?\s*({_VALUE})\s*(?:F.*)?')
-_SET = re.compile(r'(Q[LR]?\d+)\s*=\s*(.*)')
-_PLANE = re.compile(r'PLANE\s+(\w+)\s*(.*)')
-_TURNING = re.compile(
-    r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
-    r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)'
-)
-#: Cycles that set something, and what it means here.
-_SETTING = {
-    247: 'the datum is that of the work offset that is active',
-    239: 'the load has no effect',
-    392: 'the tuning has no effect',
-}
-_CONDITIONS = {9: '==', 10: '<>', 11: '>', 12: '<'}  #: Of FN 9 to FN 12.
-_IDLE_M = {
-    'M94',
-    'M97',
-    'M98',
-    'M101',
-    'M102',
-    'M103',
-    'M107',
-    'M108',
-    'M109',
-    'M110',
-    'M111',
-    'M116',
-    'M117',
-    'M120',
-    'M124',
-    'M138',
-    'M141',
-    'M143',
-    'M148',
-    'M149',
-}
-#: Those that mean something here only.
-_OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
-#: Those that say what codes of G-code do.
-_AS_CODES = {
-    'M91': ['G53'],
-    'M136': ['G95'],
-    'M137': ['G94'],
-    'M13': ['M3', 'M8'],
-    'M14': ['M4', 'M8'],
-}
-_REFUSED_M = {
-    **dict.fromkeys(
-        ('M112', 'M114', 'M118', 'M130', 'M144', 'M150'),
-        'this M code is not supported; post without it',
-    ),
-    'M92': 'counts from a point that the machine builder has set; post with M91',
-}
-#: Where the tool of cycle 204 moves aside, by Q214; a smaller circle is none [m].
-_SIDES, _SAME = {1.0: (-1, 0), 2.0: (0, -1), 3.0: (1, 0), 4.0: (0, 1)}, 1e-9
-#: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
-_NEAR, _BREAK = 0.6 * MM, 0.2 * MM
-
 
 #: A form of a line, and what it does.
 _Form = tuple[re.Pattern[str], Callable[['HeidenhainReader', re.Match[str]], None]]
@@ -109,10 +56,10 @@ class HeidenhainReader(ProgramReader):
         self.heading: complex | None = None  # of the last motion at its end, in the plane
         self.shortest = False  # M126
         self.modal_cycle = False  # M89
-        self.cycle = 0  # number of the cycle that is defined
         self.defining = False  # whether lines with Q belong to the cycle before
         self.in_comment = False  # whether the line before was one that goes on
         self._frames = HeidenhainFrames(self.mover, at.plane)
+        self._holes = HeidenhainHoles(at, self.execute)
 
     def read_lines(self, first: int, end: int) -> None:
         for row in range(first, end):
@@ -126,7 +73,7 @@ class HeidenhainReader(ProgramReader):
         text = raw.upper().split(';')[0] if '"' not in raw else raw.upper()
         if raw.lstrip().startswith('/') and self.settings.skip_blocks:
             return
-        match = _HEAD.fullmatch(_DECIMAL_COMMA.sub('.', text))
+        match = HEAD.fullmatch(DECIMAL_COMMA.sub('.', text))
         line = match[1] if match else ''
         numbered = bool(re.match(r'\s*/?\s*\d', raw))
         goes_on = raw.rstrip().endswith('~')  # a comment, or a cycle, in the next line
@@ -171,7 +118,7 @@ class HeidenhainReader(ProgramReader):
         return False
 
     def _assign(self, line: str) -> bool:
-        return self._passes(line, ((_SET, HeidenhainReader._set),))
+        return self._passes(line, ((SET, HeidenhainReader._set),))
 
     def _set(self, match: re.Match[str]) -> None:
         rapid = self.defining and match[2] in ('MAX', 'FMAX')
@@ -219,8 +166,8 @@ class HeidenhainReader(ProgramReader):
 
     def _function(self, match: re.Match[str]) -> None:
         number, rest = int(match[1]), match[2]
-        if sign := _CONDITIONS.get(number):
-            jump = _JUMP.fullmatch(rest)
+        if sign := CONDITIONS.get(number):
+            jump = JUMP.fullmatch(rest)
             if jump is None:
                 raise self.fault('write IF +Q1 EQU +Q2 GOTO LBL 1', f'FN {number}')
             if OPERATORS[sign](self._value(jump[1]), self._value(jump[3])):
@@ -243,7 +190,7 @@ class HeidenhainReader(ProgramReader):
 
     def _call_cycle(self, match: re.Match[str]) -> None:
         self._move('L', match[1])
-        self._drill()
+        self._holes.drill()
 
     def _switch_tcp(self, match: re.Match[str]) -> None:
         self.refuse_if(
@@ -274,7 +221,7 @@ class HeidenhainReader(ProgramReader):
         found: list[str] = []
         turn, at = '', 0
         while at < len(text):
-            match = _WORD.match(text, at)
+            match = WORD.match(text, at)
             if match is None:
                 raise self.fault(
                     'this word is not supported here', text[at:].split()[0], DependsOn.LINE
@@ -346,27 +293,27 @@ class HeidenhainReader(ProgramReader):
             way = self._flat(self.mover.here()) - start
             self.heading = way / abs(way) if abs(way) > 1e-9 else self.heading
         if drills or (self.modal_cycle and place and kind in ('L', 'LP')):
-            self._drill()
+            self._holes.drill()
 
     def _machine_words(
         self, words: BlockWords, values: dict[str, float], found: list[str]
     ) -> None:
         for code in words.m[:]:
             self.demand(
-                code not in _REFUSED_M,
-                _REFUSED_M.get(code, ''),
+                code not in REFUSED_M,
+                REFUSED_M.get(code, ''),
                 code,
                 DependsOn.LINE,
             )
-            if code in _IDLE_M or code in _OWN_M:
+            if code in IDLE_M or code in OWN_M:
                 words.m.remove(code)
-            if code in _IDLE_M:
+            if code in IDLE_M:
                 self.notice(code, 'no effect, it does not move the tool')
             elif code in ('M126', 'M127'):
                 self.shortest = code == 'M126'
             elif code in ('M89', 'M99'):
                 self.modal_cycle = code == 'M89'
-            for other in _AS_CODES.get(code, ()):
+            for other in AS_CODES.get(code, ()):
                 (words.g if other[0] == 'G' else words.m).append(other)
         for word in found:
             if word in ('R0', 'R') and self.mover.radius_code:
@@ -447,8 +394,8 @@ class HeidenhainReader(ProgramReader):
 
     def _coming_corner(self) -> Corner:
         place = self.flow.window.place(self.flow.row + 1)
-        text = _HEAD.fullmatch(self.flow.source.line_at(place).upper().split(';')[0])
-        match = _CORNER.fullmatch(text[1]) if text else None
+        text = HEAD.fullmatch(self.flow.source.line_at(place).upper().split(';')[0])
+        match = CORNER.fullmatch(text[1]) if text else None
         if match is None:
             return NO_CORNER
         kind = 'CHR' if match[1] == 'CHF' else 'RND'  # CHF is measured along the lines here
@@ -505,8 +452,8 @@ class HeidenhainReader(ProgramReader):
     def _define_scale(self, number: int, part: str, rest: str) -> None:
         if part == '0':
             return
-        words = _SCALES.findall(rest)
-        left = _SCALES.sub('', rest).strip()
+        words = SCALES.findall(rest)
+        left = SCALES.sub('', rest).strip()
         self.demand(not left, 'this word is not supported here', left, DependsOn.LINE)
         frames = self._frames
         act = {8: frames.mirror, 11: frames.scale_all, 26: frames.scale_axes}[number]
@@ -523,157 +470,18 @@ class HeidenhainReader(ProgramReader):
             tolerances(self.at, 'CYCL DEF 32', self._number(told[1]) or None, None)
 
     def _define_setting(self, number: int, *_: object) -> None:
-        if number in _SETTING:
+        if number in SETTING:
             self.defining = True
-            self.notice(f'CYCL DEF {number}', _SETTING[number])
+            self.notice(f'CYCL DEF {number}', SETTING[number])
 
     def _define_hole(self, number: int, part: str | None, rest: str) -> None:
-        self.cycle, self.defining = number, number >= 200
-        self._old_cycle(part, rest)
-
-    def _old_cycle(self, part: str | None, rest: str) -> None:
-        names = {'SET UP': 'Q200', 'DEPTH': 'Q201', 'PECKG': 'Q202', 'DWELL': 'Q211', 'F': 'Q206'}
-        if part == '0':
-            for name in ('Q203', 'Q204', 'Q210', 'Q211', 'Q202'):
-                self.variables.set_name(name, 0.0)
-        for word, name in names.items():
-            if part not in (None, '0') and (found := re.fullmatch(rf'{word}\s*(\S+)', rest)):
-                self.variables.set_name(name, self._value(found[1]))
-
-    def _drill(self) -> None:
-        mover, unit, axis = self.mover, self.mover.unit, PLANES[self.mover.plane][2]
-        self.demand(self.cycle, 'no cycle is defined; write CYCL DEF', 'CYCL CALL')
-        if mover.frames.factor[axis] < 0.0 or self.cycle in (204, 208):
-            mover.demand_no_scale(f'CYCL DEF {self.cycle}')
-
-        def of(name: str) -> float:
-            return self.variables.named(name) if self.variables.exists(name) else 0.0
-
-        if self.cycle in (204, 208):
-            self._bore(of)
-            return
-        self.refuse_if(
-            self.cycle == 240 and of('Q343'),
-            'a depth by the diameter is not supported; write Q201',
-            'Q343',
-        )
-        surface = of('Q203') * unit if self.cycle >= 200 else float(mover.here()[axis])
-        if self.cycle < 200:
-            surface -= of('Q200') * unit  # the tool stands on the clearance
-        bottom, retract = surface + of('Q201') * unit, surface + of('Q200') * unit
-        self.demand(
-            bottom < retract, 'the depth Q201 must be below the surface', f'CYCL DEF {self.cycle}'
-        )
-        clear, step = surface + max(of('Q204'), of('Q200')) * unit, of('Q202') * unit
-        pecks: list[float] = []
-        if self.cycle in (1, 200, 203, 205) and step > 0.0:
-            less, least = of('Q212') * unit, of('Q205') * unit
-            pecks = pecks_of(
-                surface,
-                bottom,
-                step,
-                lambda text: self.fault(text, 'Q202'),
-                lambda stroke, _: max(stroke - less, least, 1e-6),
-            )
-        taps = self.cycle in (2, 206, 207)
-        if taps:
-            mover.tell_tapping(f'CYCL DEF {self.cycle}')
-        reams = self.cycle == 201 and of('Q208') < np.inf
-        breaks = self.cycle in (203, 205) and (of('Q213') > 0.0 or of('Q257') > 0.0)
-        here = mover.here()
-        go_along(mover, here, axis, retract, feed_given=True)
-        feed = of('Q206') * unit / MINUTE
-        if self.cycle == 207:
-            feed = abs(of('Q239')) * unit * mover.spindle_speed / MINUTE
-        hole = Hole(
-            retract,
-            bottom,
-            clear,
-            pecks,
-            breaks,
-            of('Q256') * unit or _BREAK if breaks else _NEAR,
-            rests=of('Q211') > 0.0 or taps,
-            dwell=dwell_of(mover, f'CYCL DEF {self.cycle}', of('Q211')),
-            out=retract if taps or reams else None,
-            feed=feed,
-            feed_out=of('Q208') * unit / MINUTE if reams else None,
-            reverse=('M3' if of('Q239') < 0.0 else 'M4') if taps else '',
-        )
-        make_hole(mover, hole, here, axis)
-
-    def _bore(self, of: Callable[[str], float]) -> None:
-        """Bore back (204), the tool beside the axis on its way; mill a hole (208)."""
-        mover, unit, (a, b, axis) = self.mover, self.mover.unit, PLANES[self.mover.plane]
-        name, kept, here = f'CYCL DEF {self.cycle}', mover.feedrate, mover.here()
-        surface, gap = of('Q203') * unit, of('Q200') * unit
-        retract, clear = surface + gap, surface + max(of('Q204') * unit, gap)
-
-        def go(place: FloatArray, level: float, feed: str = '') -> None:
-            mover.feedrate = of(feed) * unit / MINUTE if feed else np.inf
-            self.demand(mover.feedrate > 0.0, f'the feed {feed} is missing', name)
-            go_along(mover, place, axis, level, True, mover.feedrate == np.inf)
-
-        aside, depth = here.copy(), of('Q249' if self.cycle == 204 else 'Q201') * unit
-        if self.cycle == 204:
-            side = _SIDES.get(of('Q214'))
-            if side is None or not depth > 0.0:
-                raise self.fault('write Q214 from 1 to 4, and the depth Q249 above 0', name)
-            aside[[a, b]] += np.array(side) * of('Q251') * unit
-            edge = surface - (of('Q250') + of('Q252')) * unit
-            for place, level, feed in (
-                (here, retract, ''),
-                (aside, retract, 'Q253'),
-                (aside, edge - gap, 'Q253'),
-                (here, edge - gap, 'Q253'),
-                (here, edge + depth, 'Q254'),
-            ):
-                go(place, level, feed)
-            mover.targets.stop_here()
-            for place, level in ((here, edge - gap), (aside, edge - gap), (aside, retract)):
-                go(place, level, 'Q253')
-        else:
-            cutter = cutter_of(self.at, BlockWords()).radius
-            radius, pitch = 0.5 * of('Q335') * unit - cutter, of('Q334') * unit
-            self.demand(
-                radius >= 0.0 and depth < 0.0 < pitch,
-                'write Q335 not below the diameter of the tool, Q334 above 0, and Q201 below 0',
-                name,
-            )
-            self.refuse_if(
-                radius > cutter and not of('Q342') > 0.0,
-                'the hole is more than twice as wide as the tool; write Q342',
-                name,
-            )
-            self.notice(name, 'begins above the hole, at the side of the first axis')
-            aside[a] += radius
-            go(here, retract)
-            go(aside, retract, 'Q206')
-            turns = (gap - depth) / pitch
-            climbs = (of('Q351') >= 0.0) == (self.at.outputs.get('spindle') != 'M4')
-            angle = turns * 2j * np.pi * (1 if climbs else -1)
-            rim = aside.copy()
-            rim[a], rim[b] = here[a] + radius * exp(angle).real, here[b] + radius * exp(angle).imag
-            rim[axis] = surface + depth
-            if radius > _SAME:
-                for times in (np.ceil(turns - 1e-9), 1.0):
-                    words = BlockWords(
-                        g=['G3' if climbs else 'G2'], ways=dict.fromkeys('IJK', 'AC')
-                    )
-                    words.values = {'XYZ'[i]: rim[i] / unit for i in range(3)} | {
-                        'P': float(times)
-                    }
-                    words.values |= {'IJK'[i]: here[i] / unit for i in (a, b)}
-                    words.texts = dict.fromkeys(words.values, name)
-                    self.execute(words)
-            go(here, surface + depth, 'Q206')
-            go(here, retract)
-        go(here, clear)
-        mover.feedrate = kept
+        self.defining = number >= 200
+        self._holes.define(number, part, rest)
 
     def _tilt(self, match: re.Match[str]) -> None:
         kind, rest = match.groups()
-        how = {name for found in _TURNING.finditer(rest) for name in found.groups() if name}
-        values, _, _ = self._words(_TURNING.sub(' ', rest))
+        how = {name for found in TURNING.finditer(rest) for name in found.groups() if name}
+        values, _, _ = self._words(TURNING.sub(' ', rest))
         choice = 1 if '+' in how else 2 if '-' in how else 0
         way = next((word for word in ('MOVE', 'TURN', 'STAY') if word in how), '')
         self._frames.tilt(kind, values, way, choice, 'TABLE' in how)
@@ -685,30 +493,30 @@ class HeidenhainReader(ProgramReader):
     _CYCLES: ClassVar[dict[int, Callable[..., None]]] = {
         **dict.fromkeys((7, 10, 19), _define_frame),
         **dict.fromkeys((8, 11, 26), _define_scale),
-        **dict.fromkeys((12, 13, *_SETTING), _define_setting),
+        **dict.fromkeys((12, 13, *SETTING), _define_setting),
         **dict.fromkeys((1, 2, 240, *range(200, 209)), _define_hole),
         9: _define_dwell,
         32: _define_tolerance,
     }
     #: What lines of each form do: those that change the order of lines, and all others.
     _FLOW: ClassVar[tuple[_Form, ...]] = (
-        (_LABEL, _pass_label),
-        (_CALL, _call),
-        (_CALL_FILE, _call_file),
-        (_FN, _function),
-        (_SET, _set),
+        (LABEL, _pass_label),
+        (CALL, _call),
+        (CALL_FILE, _call_file),
+        (FN, _function),
+        (SET, _set),
         (re.compile(r'END PGM.*'), _end),
     )
     _STATEMENTS: ClassVar[tuple[_Form, ...]] = (
         (re.compile(r'BEGIN PGM(?:.*\b(IN(?:CH)?)|.*)'), _begin),
-        (_CYCLE, _define_cycle),
-        (_TOOL_CALL, _tool_call),
-        (_PLANE, _tilt),
+        (CYCLE, _define_cycle),
+        (TOOL_CALL, _tool_call),
+        (PLANE, _tilt),
         (re.compile(r'(?:BLK FORM|TOOL DEF|\*|PRINT|STRUCTURE).*'), _idle),
         (re.compile(r'STOP\s*(.*)'), _stop),
         (re.compile(r'CYCL\s+CALL\s*(?:POS)?\s*(.*)'), _call_cycle),
         (re.compile(r'FUNCTION\s+(RESET\s+)?TCPM\b(.*)'), _switch_tcp),
-        (_CORNER, _corner),
+        (CORNER, _corner),
         (re.compile(r'(LN|LP|L|CC|CP|CR|CT|C)(?![A-Z])\s*(.*)'), _motion),
         (re.compile(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$)).*'), _line),
     )

@@ -6,7 +6,7 @@ and those of the corpus with ``../shared/cases``. It prints a table: motions as 
 as expected, refused although it runs, accepted although it is refused, or other motions. The
 motions of the corpus are compared with the second readers, where one knows all words. The last
 table counts programs with follow-up errors: refusals that are gone once the first refused line
-is left out. ``--all`` prints every case.
+is left out. ``--all`` prints every case; ``--only cases/corners cases/rotary`` counts parts alone.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import yaml
@@ -241,10 +243,27 @@ def sinumerik(folder: Path) -> Iterator[tuple[str, str, str]]:
         yield program.stem, AGREES if missing is None else WRONG, reason
 
 
-def cases(_: Path) -> Iterator[tuple[str, str, str]]:
+@cache
+def corpus() -> list[dict[str, Any]]:
+    """Return the table of the programs that broke us once."""
+    table = yaml.safe_load((CORPUS[0].parent / 'cases.yaml').read_text())
+    return list(table['cases'])
+
+
+def part_of(case: dict[str, Any]) -> str:
+    """Return the folder of an input beside the repository; 'own' for one of the corpus."""
+    return str(case['input']).rpartition('/')[0] or 'own'
+
+
+def parts_of_corpus() -> list[str]:
+    """Return the folders of the corpus."""
+    return sorted({part_of(case) for case in corpus()})
+
+
+def cases(part: str, _: Path) -> Iterator[tuple[str, str, str]]:
     """Yield case, verdict and reason for the programs that broke us once, as users run them."""
-    for case in yaml.safe_load((CORPUS[0].parent / 'cases.yaml').read_text())['cases']:
-        if case.keys() & {'command', 'generate', 'thorough', 'fault'}:
+    for case in corpus():
+        if part_of(case) != part or case.keys() & {'command', 'generate', 'fault'}:
             continue
         path = next(each for folder in CORPUS if (each := folder / case['input']).exists())
         given = case.get('options', [])
@@ -325,10 +344,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('folder', type=Path)
     parser.add_argument('--all', action='store_true', help='print every case')
+    parser.add_argument('--only', nargs='+', metavar='SUITE', help='a suite, or cases/FOLDER')
     arguments = parser.parse_args()
-    judges = {'linuxcnc-interp': linuxcnc, 'cead-sinumerik': sinumerik, 'cases': cases}
-    for name, judged in judges.items():
-        found = list(judged(arguments.folder / name))
+    judges = {'linuxcnc-interp': linuxcnc, 'cead-sinumerik': sinumerik}
+    judges |= {f'cases/{part}': partial(cases, part) for part in parts_of_corpus()}
+    for name in arguments.only or judges:
+        found = list(judges[name](arguments.folder / name))
         print(f'\n{name}: {len(found)} cases')
         for verdict, count in Counter(verdict for _, verdict, _ in found).most_common():
             print(f'  {count:3d}  {verdict}')
@@ -336,7 +357,8 @@ def main() -> None:
             if arguments.all or verdict not in (AGREES, MUST, NOT_COMPARED):
                 because = f' ({EXCEPTIONS[case]})' if case in EXCEPTIONS else ''
                 print(f'    {verdict}: {case}: {why}{because}')
-    count_follow_ups(arguments.folder)
+    if not arguments.only:
+        count_follow_ups(arguments.folder)
 
 
 if __name__ == '__main__':

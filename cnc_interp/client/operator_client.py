@@ -60,6 +60,7 @@ OFFERED_BY = {
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
+CALM = 1.0  #: Longest wait for an event of a thread from which nobody waits for an answer [s].
 ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
 
 
@@ -369,7 +370,7 @@ class OperatorClient(ServedNode):
     def start(self) -> None:
         def serve_on() -> None:
             while not self._ended.is_set():
-                self.serve()
+                self.serve(SPIN if self._pending else CALM)
 
         self._thread = threading.Thread(target=serve_on, name='ros', daemon=True)
         self._thread.start()
@@ -377,6 +378,7 @@ class OperatorClient(ServedNode):
     def close(self) -> None:
         self._ended.set()
         if self._thread is not None:
+            self._executor.create_task(lambda: None)  # wakes it
             self._thread.join()
         super().close()
 

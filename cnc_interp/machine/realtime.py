@@ -63,15 +63,15 @@ class Lateness:
     """Histogram of how late a periodic thread woke up; periods caught up are no wake-ups."""
 
     def __init__(self, record: IntArray):
-        self._counts = record[:CLASSES]
-        self.count = int(self._counts.sum())
+        self._reached = np.cumsum(record[:CLASSES])
+        self.count = int(self._reached[-1])
         self.largest = float(record[LARGEST]) * NANO
         #: Periods that could begin only after they should have ended.
         self.caught_up = int(record[CAUGHT_UP])
 
     def quantile(self, share: float) -> float:
         """Return the lateness that a share of the wake-ups did not exceed, to one class [s]."""
-        found = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
+        found = int(np.searchsorted(self._reached, share * self.count))
         return min((found + 1) * CLASS * NANO, self.largest)
 
     def figures(self) -> dict[str, object]:

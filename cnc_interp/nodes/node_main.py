@@ -12,6 +12,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from select import select
+from threading import Thread
 from typing import Any
 
 import rclpy
@@ -28,7 +29,8 @@ from cnc_interp.core import InterpError
 from cnc_interp.nodes.qos import DIAGNOSTICS
 from cnc_interp.processes.this_host import stay_on_this_host
 
-SPIN_TIMEOUT = 0.1  #: Timeout of the executor [s]; signals are noticed after it.
+SPIN_TIMEOUT = 0.1  #: Timeout of the executor while the axes come to rest [s].
+IDLE_TIMEOUT = 1.0  #: Its timeout before: signals and the end of the run wake it [s].
 REST_WAIT = 8.0  #: Longest time in which a node that is to end may bring axes to rest [s].
 LAST_WORDS = Duration(seconds=0.2)  #: Longest wait for last messages, each topic.
 NICENESS = -10  #: Of the nodes, if permitted: setpoints do not wait for others.
@@ -43,7 +45,13 @@ def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bo
         come_first()
     stay_on_this_host()
     rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
-    node = executor = None
+    node = executor = waker = None
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    signal.set_wakeup_fd(write)
+    run = multiprocessing.parent_process()
+    # A node that was started by a run ends when the run ends.
+    ended = [] if run is None else [run.sentinel]
     try:
         node = make()
         node.create_service(Trigger, '~/flush', partial(answer_flush, node))
@@ -51,11 +59,10 @@ def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bo
         executor.add_node(node)
         gc.collect()
         gc.freeze()  # objects that exist now are never freed, so the collector may ignore them
-        run = multiprocessing.parent_process()
-        # A node that was started by a run ends when the run ends.
-        ended = [] if run is None else [run.sentinel]
+        waker = Thread(target=wake_at, args=([read, *ended], executor), daemon=True)
+        waker.start()
         while not stop and rclpy.ok() and not select(ended, [], [], 0.0)[0]:
-            executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+            executor.spin_once(timeout_sec=IDLE_TIMEOUT)
         if hasattr(node, 'come_to_rest'):
             until = time.monotonic() + REST_WAIT
             while rclpy.ok() and not node.come_to_rest() and time.monotonic() < until:
@@ -73,6 +80,9 @@ def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bo
             if hasattr(node, 'close'):
                 node.close()
             node.destroy_node()
+        if waker is not None:  # before the executor goes
+            os.write(write, b'\0')
+            waker.join()
         if executor is not None:
             executor.shutdown()
         # A forked process ends without Python's own tidying up. DDS removes its files in shared
@@ -82,6 +92,12 @@ def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bo
         gc.collect()
         rclpy.try_shutdown()
     return 0
+
+
+def wake_at(files: list[int], executor: EventsExecutor) -> None:
+    """Wake an executor when one of some files can be read: alone it hears no signal."""
+    select(files, [], [])
+    executor.create_task(lambda: None)
 
 
 def answering(

@@ -10,7 +10,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
 from cnc_interp.nodes.node_main import WARN, Diagnostics
-from cnc_interp.wire.seals import SECOND, WAITS, KnownSender, Seal, opened_seal
+from cnc_interp.wire.seals import SECOND, WAITS, KnownSender, Place, Seal, opened_seal
 
 UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node that is just being discovered.
 #: Each stream with the node that receives it.
@@ -42,8 +42,8 @@ def publishers_of(node: Any, topic: str, owners: Collection[str] = ()) -> str:
     return ', '.join(sorted(found)) or 'a node that has ended, or that has another key'
 
 
-def place_of(node: Any, topic: str) -> str:
-    return f'{node.get_namespace()} {topic}'
+def place_of(node: Any, topic: str) -> Place:
+    return Place.of(f'{node.get_namespace()} {topic}')
 
 
 class SealedPublisher:
@@ -63,6 +63,7 @@ class Heard(NamedTuple):
     kind: Any
     topic: str
     profile: QoSProfile
+    about: bytes = b''  #: Messages without these bytes are for others: they are not opened.
 
 
 class Ear:
@@ -84,7 +85,7 @@ class Ear:
     ):
         self._tell, self._spoilt, self._read = tell, spoilt, read
         self._node, self._take, self._diagnostics = node, take, diagnostics
-        self._kind, self._topic, profile = heard
+        self._kind, self._topic, profile, self._about = heard
         self._place = place_of(node, self._topic)
         self._senders: dict[str, KnownSender] = {}
         self.ignored: Counter[str] = Counter()  #: Messages, by who may have sent them.
@@ -93,6 +94,8 @@ class Ear:
         )
 
     def _hear(self, data: bytes) -> None:
+        if self._about not in data:
+            return
         found = opened_seal(self._place, data)
         fault = UNSEALED
         if found is not None:
@@ -143,7 +146,9 @@ def hear(
     profile: QoSProfile,
     diagnostics: Diagnostics | None = None,
     tell: Callable[[str], object] = str,
+    about: str = '',
 ) -> Ear:
-    """Take the messages of the node whose topic it is."""
+    """Take the messages of the node whose topic it is, those with a text in them."""
     read = partial(deserialize_message, message_type=kind)
-    return Ear(node, Heard(kind, topic, profile), take, diagnostics, tell, read=read)
+    heard = Heard(kind, topic, profile, about.encode())
+    return Ear(node, heard, take, diagnostics, tell, read=read)

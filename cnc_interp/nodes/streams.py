@@ -69,7 +69,7 @@ def hear_statuses(
         if status.stream == (stream or status.stream) and status.refusal_kind in REFUSALS:
             take(status)
 
-    return hear(node, StreamStatus, 'stream_status', see, STATUS, diagnostics, tell)
+    return hear(node, StreamStatus, 'stream_status', see, STATUS, diagnostics, tell, stream)
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:

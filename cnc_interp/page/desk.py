@@ -7,6 +7,7 @@ import re
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -118,6 +119,8 @@ class Desk:
         self._running: Job | None = None
         self._adopted = ''
         self._tasks: set[asyncio.Task[None]] = set()
+        self.loop: asyncio.AbstractEventLoop | None = None  #: That of the pages, while they live.
+        self.pages: set[Callable[[], None]] = set()  #: What shows a new state, in that loop.
         self._peak = np.zeros((3, 0))
         self.nodes = OperatorClient('panel', namespace, domain, self._see_state)
         self.setup = SetupClient(self.nodes, 'page')
@@ -131,6 +134,9 @@ class Desk:
         if self._stopped and not stopped:
             self._clear_alarms()  # it was reset, by whomever
         self._stopped = stopped
+        with suppress(RuntimeError):  # the loop has ended just now
+            if self.loop is not None:
+                self.loop.call_soon_threadsafe(self._tell_pages)
         now = time.monotonic()
         use = np.array([getattr(state, f'recent_{kind}_use') for kind in KINDS])
         self._peak = use if self._peak.shape != use.shape else np.maximum(self._peak, use)
@@ -170,8 +176,13 @@ class Desk:
         place = plan.at(state.path_position)
         return place.programmed_feed, place.feed_limit
 
-    async def watch(self) -> None:
-        """Once in a while: learn which machine it is, adopt a program that others have started."""
+    def _tell_pages(self) -> None:
+        self.watch()
+        for show in self.pages:
+            asyncio.get_running_loop().call_soon(show)
+
+    def watch(self) -> None:
+        """Learn which machine it is, adopt a program that others have started."""
         if self.machine is None and self.nodes.machine:
             machine = Machine.load(self.nodes.machine)
             if self.nodes.scene:

@@ -1,5 +1,6 @@
 """The page: read-outs, machine, program, charts and keys of one browser tab."""
 
+import time
 from functools import partial
 from typing import Any
 
@@ -32,9 +33,10 @@ from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import in_program
 
-#: Read-outs and machine are shown at this pace, charts at every so many of it, at rest [s].
-PACE, CHART_EVERY, AT_REST = 0.1, 4, 20
-STALE = 5  #: What is no new state of the machine is shown at every so many times the pace.
+#: New states of the machine are shown at this pace at most, charts every so many times [s].
+PACE, CHART_EVERY = 0.1, 4
+EARLY = 0.02  #: A state may come so much before its time [s].
+STALE = 0.5  #: What is no new state is shown after this time [s].
 
 
 outlined = partial(key, colour='primary', look='dense outline')
@@ -60,8 +62,7 @@ class Page:
         self._shown: dict[str, Any] = {}
         self._zeros: list[Any] = []
         self._unit = ShownUnit()
-        self._count = self._waited = 0
-        self._seen: Any = None  # the state of the machine that is shown
+        self._count, self._shown_at = 0, 0.0
         self._waits = self._at_hit = False
         access.enter(tab, trusted)
         self._contact = Contact(self._stop_with)
@@ -89,8 +90,11 @@ class Page:
         ui.on('inch', self._use_unit)
         ui.on('pick_point', self._pick_point)
         ui.run_javascript('preferences.apply()')
-        ui.timer(PACE, self._show)
-        ui.context.client.on_connect(self._listing.show_again)
+        ui.timer(STALE, self._show)
+        self._client = ui.context.client
+        self._client.on_connect(self._listing.show_again)
+        desk.pages.add(self._show_state)
+        self._client.on_delete(lambda: desk.pages.discard(self._show_state))
 
     def _use_unit(self, event: events.GenericEventArguments) -> None:
         is_inch, texts = event.args
@@ -328,16 +332,18 @@ class Page:
         self._shown[what] = value
         return True
 
+    def _show_state(self) -> None:
+        if time.monotonic() - self._shown_at > PACE - EARLY:
+            with self._client:
+                self._show()
+
     def _show(self) -> None:
         """Update the page. Only changes are sent, and only while the browser keeps up."""
         if not self._contact.is_followed:
             return
+        self._shown_at = time.monotonic()
         desk = self._desk
         state, job = desk.nodes.state, desk.job
-        self._waited += 1
-        if state is self._seen and self._waited < STALE:
-            return
-        self._seen, self._waited = state, 0
         words = readings(desk, self._unit.now)
         words['program'] = job.name if job else 'no program'
         if self._changed('failed', job is not None and job.failed):
@@ -389,12 +395,15 @@ class Page:
                 if self._changed('scale', f'0 to {top:.0f} {unit.name}/min, planned feed'):
                     self._labels['scale'].set_text(self._shown['scale'])
         self._count += 1
-        if self._count % (AT_REST if state is None or state.resting else CHART_EVERY) == 0:
+        newest = desk.history[-1].time if desk.history else 0.0
+        drawn = newest, self._unit.now, job and job.plan and job.number
+        if self._count % CHART_EVERY == 0 and self._changed('charts', drawn):
             self._charts.show(desk)
 
     def _toggle_hit(self) -> None:
         """Draw the machine at the first hit of the program, or where it is."""
-        self._at_hit, self._seen = not self._at_hit, None
+        self._at_hit = not self._at_hit
+        self._show()
 
     def _start_text(self) -> str:
         """Return what the operator must know about the start; empty for the top of a program."""

@@ -104,6 +104,7 @@ class MachineView:
     def __init__(self, description: urdf.Description):
         self._description = description
         self._of_part = True
+        self._placed: tuple[bool, dict[str, float]] = (True, {})  # what is shown
         self._path: Any = None
         self._shown = self._done = -1
         self._direction = np.array(VIEWS['iso'])
@@ -205,6 +206,9 @@ class MachineView:
 
     def show(self, positions: dict[str, float]) -> None:
         """Move the axes [m, rad]; in the view of the part the workpiece stands still."""
+        if (self._of_part, positions) == self._placed:
+            return
+        self._placed = self._of_part, positions
         for name, value in positions.items():
             joint, group = self._joints[name]
             if joint.kind == 'prismatic':

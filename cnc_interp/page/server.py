@@ -60,7 +60,7 @@ def scripts() -> str:
 
 
 STYLE = Path(__file__).with_name('style.css')
-WATCH = 0.2  #: How often the page looks after programs and the machine's name [s].
+WATCH = 0.5  #: How often the page looks after programs, but for those with a new state [s].
 LOOK = 1.0  #: How often it looks for nodes that have ended [s].
 #: A page whose connection was interrupted finds its place again within this time [s].
 RECONNECT = 20.0
@@ -116,7 +116,7 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
             except InterpError as problem:  # a node that ended by itself cannot work here
                 lost = problem
                 app.shutdown()
-        await desk.watch()
+        desk.watch()
         if text is not None and desk.machine is not None:
             await desk.load(served.name, text)
             text = None
@@ -161,6 +161,8 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
 
     app.add_middleware(Gate, host=served.host, longest=LONGEST_PROGRAM)
     app.timer(WATCH, watch)
+    app.on_startup(lambda: setattr(desk, 'loop', asyncio.get_running_loop()))
+    app.on_shutdown(lambda: setattr(desk, 'loop', None))
     app.on_shutdown(desk.end_planning)
     app.on_startup(lambda: asyncio.get_running_loop().set_exception_handler(FaultsOnce()))
     app.on_startup(lambda: announce(served.host, served.port, access.token))

@@ -6,6 +6,8 @@ Readers of the message ignore what comes after it. DDS delivers multiples of fou
 process, so the message is filled up to one before its seal.
 """
 
+from __future__ import annotations
+
 import hmac
 import math
 import os
@@ -15,6 +17,7 @@ import struct
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from cnc_interp.core import InterpError
 
@@ -56,23 +59,31 @@ def key_in(path: Path) -> bytes:
     return key
 
 
-def code_of(place: str, data: bytes) -> bytes:
-    """Return the code of a message at a place: namespace and topic."""
-    return hmac.digest(key_in(key_file()), place.encode() + b'\0' + data, 'sha256')[:CODE]
+class Place(NamedTuple):
+    """Where messages are sealed: namespace and topic, with the key of the nodes."""
+
+    name: bytes
+    key: bytes
+
+    @staticmethod
+    def of(name: str) -> Place:
+        return Place(name.encode() + b'\0', key_in(key_file()))
+
+    def code(self, data: bytes) -> bytes:
+        return hmac.digest(self.key, self.name + data, 'sha256')[:CODE]
 
 
 class Seal:
     """The seals of one sender on one topic."""
 
-    def __init__(self, place: str):
+    def __init__(self, place: Place):
         self._place, self._sender, self._number = place, secrets.randbits(32), 0
-        key_in(key_file())
 
     def on(self, data: bytes) -> bytes:
         """Return a serialised message with its seal."""
         data += bytes(-len(data) % ALIGNED) + LAYOUT.pack(self._sender, self._number % 2**32)
         self._number += 1
-        return data + code_of(self._place, data)
+        return data + self._place.code(data)
 
 
 SECOND = 'comes from a second sender'
@@ -109,9 +120,9 @@ class KnownSender:
         return ''
 
 
-def opened_seal(place: str, data: bytes) -> tuple[bytes, int, int] | None:
+def opened_seal(place: Place, data: bytes) -> tuple[bytes, int, int] | None:
     """Return message, sender and number; None without the right seal."""
     body = data[:-CODE]
-    if len(data) <= SIZE or not hmac.compare_digest(data[-CODE:], code_of(place, body)):
+    if len(data) <= SIZE or not hmac.compare_digest(data[-CODE:], place.code(body)):
         return None
     return (body[: -LAYOUT.size], *LAYOUT.unpack(body[-LAYOUT.size :]))

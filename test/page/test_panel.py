@@ -471,6 +471,7 @@ def test_charts_stand_while_the_machine_rests(monkeypatch):
         _peak=np.zeros((3, 1)),
         _moved=0.0,
         _stopped=False,
+        loop=None,
     )
     for speed in (*[0.1] * 5, *[0.0] * 50, 0.2):
         state = SimpleNamespace(single_block=False, feedrate=speed, state=MachineState.RUNNING)

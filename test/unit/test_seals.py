@@ -7,7 +7,7 @@ import pytest
 
 from cnc_interp.core import InterpError
 from cnc_interp.wire import seals
-from cnc_interp.wire.seals import SILENT, WAITS, KnownSender, Seal, key_in, opened_seal
+from cnc_interp.wire.seals import SILENT, WAITS, KnownSender, Place, Seal, key_in, opened_seal
 
 PLACE = '/cell setpoints'
 RANDOM = np.random.default_rng(54)
@@ -26,38 +26,38 @@ def message(size=200):
 
 
 def test_what_a_node_seals_is_opened_bit_for_bit():
-    sender, texts = Seal(PLACE), [message(k) for k in (4, 8, 4096)]
-    opened = [opened_seal(PLACE, sender.on(text)) for text in texts]
+    sender, texts = Seal(Place.of(PLACE)), [message(k) for k in (4, 8, 4096)]
+    opened = [opened_seal(Place.of(PLACE), sender.on(text)) for text in texts]
     assert [text for text, _, _ in opened] == texts
     assert [number for *_, number in opened] == [0, 1, 2] and len({o[1] for o in opened}) == 1
 
 
 def test_no_change_of_one_bit_is_opened():
-    data = Seal(PLACE).on(message(40))
+    data = Seal(Place.of(PLACE)).on(message(40))
     for bit in range(8 * len(data)):
         forged = bytearray(data)
         forged[bit // 8] ^= 1 << bit % 8
-        assert opened_seal(PLACE, bytes(forged)) is None, bit
+        assert opened_seal(Place.of(PLACE), bytes(forged)) is None, bit
     for size in range(len(data)):
-        assert opened_seal(PLACE, data[:size]) is None
-        assert opened_seal(PLACE, data[size + 1 :]) is None
+        assert opened_seal(Place.of(PLACE), data[:size]) is None
+        assert opened_seal(Place.of(PLACE), data[size + 1 :]) is None
 
 
 def test_a_seal_counts_on_its_own_topic_and_machine_only():
     """A record of executed_setpoints, sent on setpoints, would be motion."""
-    data = Seal('/cell executed_setpoints').on(message())
-    assert opened_seal('/cell executed_setpoints', data)
-    assert opened_seal('/cell setpoints', data) is None
-    assert opened_seal('/other executed_setpoints', data) is None
+    data = Seal(Place.of('/cell executed_setpoints')).on(message())
+    assert opened_seal(Place.of('/cell executed_setpoints'), data)
+    assert opened_seal(Place.of('/cell setpoints'), data) is None
+    assert opened_seal(Place.of('/other executed_setpoints'), data) is None
 
 
 def test_who_has_another_key_opens_nothing_and_forges_nothing(tmp_path, monkeypatch):
-    ours = Seal(PLACE).on(message())
+    ours = Seal(Place.of(PLACE)).on(message())
     monkeypatch.setenv(seals.KEY_FILE, str(tmp_path / 'another'))
-    assert opened_seal(PLACE, ours) is None
-    theirs = Seal(PLACE).on(message())
+    assert opened_seal(Place.of(PLACE), ours) is None
+    theirs = Seal(Place.of(PLACE)).on(message())
     monkeypatch.setenv(seals.KEY_FILE, str(tmp_path / 'key'))
-    assert opened_seal(PLACE, theirs) is None and opened_seal(PLACE, ours)
+    assert opened_seal(Place.of(PLACE), theirs) is None and opened_seal(Place.of(PLACE), ours)
 
 
 def test_all_nodes_of_a_user_share_one_key_that_nobody_else_can_read(key):
@@ -80,7 +80,7 @@ def test_a_key_that_another_user_may_have_made_is_refused(key, spoil):
     else:
         os.mkfifo(key, 0o600)
     with pytest.raises(InterpError, match='the key of the nodes'):
-        Seal(PLACE)
+        Seal(Place.of(PLACE))
 
 
 def test_the_sender_heard_first_is_the_one_until_it_is_silent():
@@ -105,7 +105,7 @@ def test_a_message_heard_before_does_not_count_twice():
 
 def test_a_sealed_message_has_the_length_that_dds_delivers_to_another_process():
     for length in range(5, 13):
-        data = Seal('/cell machine_state').on(bytes(range(length)))
+        data = Seal(Place.of('/cell machine_state')).on(bytes(range(length)))
         assert len(data) % 4 == 0
-        message, _, _ = opened_seal('/cell machine_state', data)
+        message, _, _ = opened_seal(Place.of('/cell machine_state'), data)
         assert message[:length] == bytes(range(length)) and not any(message[length:])

@@ -56,7 +56,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / 'token').write_text(TOKEN)
-        (folder / 'waves.ngc').write_text(waves(round(4 * options.seconds)))
+        (folder / 'waves.ngc').write_text(waves(round(6 * options.seconds) + 120))
         words = ['panel', str(folder / 'waves.ngc'), '--port', '0']
         words += ['--token-file', str(folder / 'token')]
         command = [sys.executable, '-m', 'cnc_interp', *words]

@@ -22,7 +22,6 @@ from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Interpolator, Setpoints
-from cnc_interp.run.spin_choice import SpinSearch
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -175,6 +174,8 @@ def planned(
     parts = iter(stream)
     spun = None
     if settings.spin != 'fixed' and isinstance(transform, JointChain):
+        from cnc_interp.run.spin_choice import SpinSearch
+
         with at_fault(stream.source):
             program = Blocks.concatenate(list(parts))
             choice = SpinSearch(transform, settings, program).chosen()

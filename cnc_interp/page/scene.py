@@ -98,6 +98,7 @@ FOV = 40.0
 MACHINE_LINKS = (links.BASE, 'x_slide', 'y_slide', 'z_slide', links.WORKPIECE)
 #: Opacity of what carries the tool in the view of the part: the point of cutting is seen.
 SEE_THROUGH = 0.3
+SOLID = 0.9  #: Opacity of the stock while it is cut: walls and floors are seen.
 
 
 class MachineView:
@@ -188,7 +189,7 @@ class MachineView:
         if stage >= 0 and self._uncut:
             with self._scene, self._stock:
                 self._cut = self._scene.stl(f'/stock/{self._shown}/{stage}.stl')
-            self._cut.material(css(urdf.STOCK), urdf.STOCK[3])
+            self._cut.material(css(urdf.STOCK), SOLID)
         self._paint()
 
     def _add(self, shape: urdf.Shape) -> Any:

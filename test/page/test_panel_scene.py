@@ -1,5 +1,8 @@
 """The operator page with a scene: its bodies, and a program that would hit one of them."""
 
+import os
+
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
@@ -13,7 +16,19 @@ SCENE = """
 include: xyzac
 bodies:
   - {name: clamp, link: workpiece, box_mm: {low: [50, -20, -20], high: [70, 20, 30]}}
+stock: {link: workpiece, box_mm: {low: [-30, -20, -12], high: [30, 20, -1]}, grid_mm: 0.4}
 holders: {slim: [[0, 6], [40, 12]]}
+"""
+SLOTS = """G21 G90 G94
+G0 X-35 Y-8 Z30 A0 C0
+G1 Z-4 F1500
+X20
+G0 Z10
+X-35 Y8
+G1 Z-6
+X20
+G0 Z30
+M30
 """
 PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z60 A0 C0\nG1 X{} F3000\nZ10\nX{} Y30\nM30\n'
 #: Colours and places of what is drawn of STL files, by colour: red ones hit each other.
@@ -107,3 +122,40 @@ def test_a_holder_that_the_scene_does_not_know_is_refused_in_one_sentence(panel)
     tab.click_with_mouse('set new tool')
     panel.spin_until(lambda: 7 in panel.setup.tools)
     assert panel.setup.tools[7].holder == 'slim'
+
+
+#: Volume of what is drawn of the stock [mm3]; no other body has its colour.
+STOCK = """(() => {
+  const view = Object.keys(mounted_app.elements).map(id => getElement(id)).find(e => e?.objects);
+  let volume = 0;
+  view.objects.forEach(object => {
+    const mesh = object.mesh?.children?.[0];
+    if (mesh?.material?.color?.getHexString() !== 'b2bdc7' || !object.mesh.visible) return;
+    const p = mesh.geometry.attributes.position.array;
+    for (let k = 0; k < p.length; k += 9) {
+      volume += p[k] * (p[k + 4] * p[k + 8] - p[k + 5] * p[k + 7]);
+      volume += p[k + 1] * (p[k + 5] * p[k + 6] - p[k + 3] * p[k + 8]);
+      volume += p[k + 2] * (p[k + 3] * p[k + 7] - p[k + 4] * p[k + 6]);
+    }
+  });
+  return Math.round(volume / 6e-9);
+})()"""
+
+
+def test_the_stock_is_drawn_as_it_is_cut(panel, tmp_path):
+    tab = panel.open_in_charge()
+    panel.until(MachineState.IDLE)
+    slots = tmp_path / 'slots.ngc'
+    slots.write_text(SLOTS)
+    panel.load(tab, slots)
+    tab.wait(lambda: tab.run(STOCK))
+    uncut = tab.run(STOCK)
+    assert uncut == pytest.approx(60 * 40 * 11, rel=0.01)
+    panel.begin(tab)
+    tab.wait(lambda: 0 < tab.run(STOCK) < uncut)
+    panel.until(MachineState.IDLE)
+    # Two slots of 50 mm and their ends: half a circle of 6 mm, one of them 2 mm deeper.
+    cut = 50 * (9 * np.pi + 2 * 6) + 2 * 18 * np.pi + 9 * np.pi
+    tab.wait(lambda: uncut - tab.run(STOCK) == pytest.approx(cut, rel=0.1))
+    if folder := os.environ.get('PICTURES'):
+        tab.screenshot(f'{folder}/stock.png')

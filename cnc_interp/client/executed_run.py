@@ -49,7 +49,10 @@ class Follower:
     def take(self, message: SetpointChunk) -> None:
         rows, run_id = rows_of(message), run_id_of(message)
         if run_id != self.run_id and len(rows):
-            self._begin(run_id)
+            if self._by_hand and not self._rests and rows[0, BLOCK] == 0:
+                self.run_id, self._number = run_id, 0  # void: the motion by hand goes on
+            else:
+                self._begin(run_id)
         axes = message.axis_count
         while len(rows):
             if self._wait in OPERATOR_WAITS:
@@ -106,7 +109,8 @@ class Follower:
                 return same
         self._tail = self._sent.tail(self.run_id, self._number, rows[0])
         if self._tail is None:
-            self._by_hand = self._rests and self._number > 0 and rows[0, BLOCK] == 0
+            # A plan that came meanwhile may be void: nothing of it is executed.
+            self._by_hand = self._rests and self.count > 0 and rows[0, BLOCK] == 0
             if not self._by_hand:
                 self._astray(rows[0])
         return 0

@@ -81,7 +81,7 @@ class ProgramTimes:
     def __init__(self) -> None:
         self._lines: list[IntArray] = []
         self._rapid: list[BoolArray] = []
-        self._parts: list[tuple[int, FloatArray]] = []  # first row, and times of rows from it on
+        self._parts: list[tuple[IntArray, FloatArray]] = []  # rows, each once, and their times
         self.stops = 0  #: Rows after which the program waits for the operator.
 
     def blocks(self, blocks: Blocks) -> None:
@@ -94,8 +94,8 @@ class ProgramTimes:
 
     def spent(self, row: IntArray, time: FloatArray) -> None:
         """Add times that were spent in rows, both (n,) [s]."""
-        first = int(row.min())
-        self._parts.append((first, np.asarray(np.bincount(row - first, time), dtype=float)))
+        rows, place = np.unique(row, return_inverse=True)
+        self._parts.append((rows, np.asarray(np.bincount(place, time), dtype=float)))
 
     def sections(
         self, functions: Functions, machine: Machine, source: str = ''
@@ -105,8 +105,9 @@ class ProgramTimes:
             return []
         line, rapid = np.concatenate(self._lines), np.concatenate(self._rapid)
         motion = np.zeros(len(line))
-        for begin, spent in self._parts:
-            motion[begin : begin + len(spent)] += spent
+        for row, spent in self._parts:
+            known = (row >= 0) & (row < len(line))  # blocks of a record may be missing
+            motion[row[known]] += spent[known]
         names = list(_operations(line, operation_names(source)))
         signals = machine.signals
         first = {words.start: word for word, words in signals.words.items()}

@@ -226,7 +226,7 @@ def test_a_file_in_the_place_of_a_folder_is_named(tmp_path, capsys):
     for out in (file, file / 'plan'):
         assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', str(out)]) == BAD_INPUT
         assert capsys.readouterr().err == (
-            f'cnc-interp: {out}: a file stands where a folder must be; name another folder\n'
+            f'cnc-interp: {file}: a file stands where a folder must be; name another folder\n'
         )
 
 

@@ -45,7 +45,7 @@ from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 SAME = 1e-9  #: Tips [m] and axes [-] of two chains differ less.
-USE = 1.001  #: Largest use of a limit: an excess of up to 0.1 % is rounding, as in the proof.
+USE = 1.0  #: Largest use of a limit.
 COUNT = 120  #: Points of a path.
 #: Least share of lines passed at 45 and 10 deg, and how far the joints may jump there [rad, 1/m].
 LINES, JUMP = (0.98, 0.85), 1e-6

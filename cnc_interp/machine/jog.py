@@ -204,10 +204,12 @@ class Jog:
 
     def _fill(self, motion: JogMotion) -> None:
         while not motion.over and self._playback.plans.buffer.count < self._setpoints(AHEAD):
-            self._playback.push(self._piece(motion))
+            taken = self._playback.push(self._piece(motion))
             if motion.blocked is not None:
                 hit, motion.blocked = motion.blocked, None
                 raise hit
+            if not taken:
+                return
         if motion.over and isinstance(self._wish, Move):
             self._wish = None
 

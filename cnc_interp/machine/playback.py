@@ -259,11 +259,15 @@ class Playback:
         self.push(chunk)
         self.cycle.start(plans.buffer.chunks[0].serial)
 
-    def push(self, chunk: Chunk) -> None:
-        """Take a chunk into the buffer, unless its plan was left."""
+    def push(self, chunk: Chunk) -> bool:
+        """Take a chunk into the buffer, unless its plan or its motion by hand is over."""
+        by_hand = self.state.by_hand
         self.look()
-        if not self.plans.is_left(self.state):
-            self.plans.push(chunk, self.switching.functions)
+        over = by_hand and not self.state.by_hand
+        if over or self.plans.is_left(self.state):
+            return False
+        self.plans.push(chunk, self.switching.functions)
+        return True
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
         """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""

@@ -208,6 +208,20 @@ def test_the_silence_that_ends_the_motion_of_a_held_key_is_told():
     assert bench.beat(X=0.2) == 0.0, 'a new press, where nobody tells of the end of one'
 
 
+def test_a_motion_that_has_come_to_rest_unseen_leaves_nothing_behind():
+    """A node that was not served for a while filled the buffer at rest, and no key went."""
+    bench = Bench()
+    bench.run(0.5, X=0.2)
+    for _ in range(2000):
+        bench.play.cycle.step()
+    late, taken = bench.jog._piece(bench.jog._motion), []
+    while bench.state is State.JOGGING:
+        taken.append(bench.play.push(late))
+    assert bench.state is State.IDLE and not taken[-1]
+    assert bench.play.plans.buffer.count == 0
+    bench.play.check_jog()
+
+
 def test_motion_begins_and_ends_soon_after_the_command():
     bench = Bench()
     bench.run(0.02)

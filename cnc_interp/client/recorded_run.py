@@ -83,13 +83,16 @@ class RecordedRun:
     def _order(self) -> tuple[list[int], str]:
         """Return the chunks in order, up to the first that is missing, and how the record ends."""
         order: list[int] = []
-        following, last = 0, self.chunks[0]
+        following, ended = 0, False
+        last = next((chunk for chunk in self.chunks if len(chunk.sequences)), self.chunks[0])
         for k in np.argsort([chunk.first_sample for chunk in self.chunks], kind='stable'):
             chunk = self.chunks[k]
             if chunk.first_sample > following:
                 end = f'lacks executed setpoints {following} to {chunk.first_sample - 1}'
                 return order, f'the record {end}, after line {last.line_numbers[-1]}'
-            following, last = chunk.first_sample + len(chunk.sequences), chunk
+            following = chunk.first_sample + len(chunk.sequences)
+            last = chunk if len(chunk.sequences) else last  # or it only switches something
+            ended = chunk.end_of_program
             order.append(int(k))
         end = 'in motion' if any(last.velocities[-last.axis_count :]) else 'at rest'
         line = f'the record ends {end}, in line {last.line_numbers[-1]}'
@@ -97,7 +100,7 @@ class RecordedRun:
             line = f'{BY_PROBE}, in line {self.probed}'
         elif following == self.held_at and end == 'at rest':
             line = f'{BY_OPERATOR}, in line {last.line_numbers[-1]}'
-        return order, '' if last.end_of_program else line
+        return order, '' if ended else line
 
     @property
     def by_operator(self) -> bool:

@@ -261,7 +261,7 @@ def test_a_plain_publisher_sets_the_override(nodes, line):
     done(line, nodes.domain)
     nodes.spin_until(lambda: nodes.peers.state.feed_override == wanted)
     with OperatorClient('late', nodes.namespace, nodes.domain) as late:
-        while late.override != wanted:  # as a page that is opened now
+        while late.override_of('feed_override') != wanted:  # as a page that is opened now
             late.serve()
     done(line.replace(f'{wanted}', '1.0'), nodes.domain)
     nodes.spin_until(lambda: nodes.peers.state.feed_override == 1.0)

@@ -10,6 +10,7 @@ from cnc_interp.program.execution.setup_words import choose_offset
 from cnc_interp.program.geometry.target_row import AT_M0, AT_M1
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.text import code_tables as codes
+from cnc_interp.program.text.control_traits import LINUXCNC
 from cnc_interp.program.text.words import BlockWords
 
 
@@ -103,6 +104,9 @@ def machine_function(at: Execution, code: str, _: BlockWords) -> None:
 
 def numbered_function(at: Execution, code: str, words: BlockWords) -> None:
     """Take M62 to M68, which name an output or an input of the machine by its number."""
+    if not words.values.keys() & {'P', 'E'} and at.mover.dialect is not LINUXCNC:
+        machine_function(at, code, words)  # another control's own meaning of it
+        return
     word = signals.numbered_word(code, words.values)
     if not word:
         raise at.fault(codes.NO_SUCH_NUMBER[code == 'M66'], code)

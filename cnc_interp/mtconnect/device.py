@@ -67,6 +67,11 @@ def _axis(machine: Machine, number: int, joints: dict[str, Joint]) -> Component:
     return Component(kind, f'axis_{name}', name, items, joint=joint, carrier=carrier)
 
 
+def name_of(machine: str) -> str:
+    """Return the name of a machine in letters, digits and underscores."""
+    return ''.join(c if c.isalnum() else '_' for c in machine)
+
+
 def device_of(machine: Machine, host: str) -> Component:
     """Return the device of a machine; its UUID comes from the names of host and machine."""
     joints = {} if machine.arm is not None else {one.name: one for one in joints_of(machine)}
@@ -113,9 +118,8 @@ def device_of(machine: Machine, host: str) -> Component:
         DataItem('asset_changed', 'ASSET_CHANGED', EVENT),
         DataItem('asset_removed', 'ASSET_REMOVED', EVENT),
     )
-    name = ''.join(c if c.isalnum() else '_' for c in machine.name)
     identity = str(uuid5(NAMESPACE_DNS, f'{host}/{machine.name}'))
-    return Component('Device', 'device', name, own, parts, uuid=identity)
+    return Component('Device', 'device', name_of(machine.name), own, parts, uuid=identity)
 
 
 def items_of(device: Component) -> dict[str, DataItem]:

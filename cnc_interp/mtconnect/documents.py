@@ -10,7 +10,7 @@ from itertools import groupby
 from lxml import etree
 
 from cnc_interp.core import MM
-from cnc_interp.mtconnect.device import CONDITION, Component, DataItem, items_of
+from cnc_interp.mtconnect.device import CONDITION, Component, DataItem, items_of, name_of
 from cnc_interp.mtconnect.store import (
     FAULT,
     WARNING,
@@ -36,7 +36,7 @@ def instant(time: float) -> str:
 
 
 def asset_id(machine: str, number: int) -> str:
-    return f'{machine}_tool_{number}'
+    return f'{name_of(machine)}_tool_{number}'
 
 
 def _triple(values: Iterable[float]) -> str:
@@ -52,7 +52,7 @@ class Agent:
     host: str
     instance: int
 
-    def _document(self, kind: str, **header: int) -> tuple[etree._Element, etree._Element]:
+    def _document(self, kind: str, **header: int) -> etree._Element:
         space = SPACE.format(kind=kind)
         root = etree.Element(
             f'{{{space}}}MTConnect{kind}',
@@ -67,11 +67,11 @@ class Agent:
         if kind == 'Assets':
             del told['bufferSize']
         etree.SubElement(root, f'{{{space}}}Header', {k: str(v) for k, v in told.items()})
-        return root, root
+        return root
 
     def devices(self, tools: int) -> bytes:
         """Return the description of the device, with so many tools as assets."""
-        root, _ = self._document('Devices', assetBufferSize=ASSETS_KEPT, assetCount=tools)
+        root = self._document('Devices', assetBufferSize=ASSETS_KEPT, assetCount=tools)
         _component(_sub(root, 'Devices'), self.device)
         return _text(root)
 
@@ -98,7 +98,7 @@ class Agent:
         store = self.store
         last = store.next_sequence - 1
         first = min(store.first_sequence, last)
-        root, _ = self._document(
+        root = self._document(
             'Streams', nextSequence=following, firstSequence=first, lastSequence=last
         )
         stream = _sub(
@@ -126,7 +126,7 @@ class Agent:
 
     def assets(self, tools: dict[int, Tool]) -> bytes:
         """Return the tools as assets, by their numbers."""
-        root, _ = self._document('Assets', assetBufferSize=ASSETS_KEPT, assetCount=len(tools))
+        root = self._document('Assets', assetBufferSize=ASSETS_KEPT, assetCount=len(tools))
         place = _sub(root, 'Assets')
         for number, tool in tools.items():
             asset = _sub(
@@ -156,7 +156,7 @@ class Agent:
         return _text(root)
 
     def error(self, problem: RequestError) -> bytes:
-        root, _ = self._document('Error')
+        root = self._document('Error')
         _sub(_sub(root, 'Errors'), 'Error', errorCode=problem.code).text = str(problem)
         return _text(root)
 

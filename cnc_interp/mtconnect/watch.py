@@ -55,6 +55,7 @@ class MachineWatch(ServedNode):
         super().__init__('mtconnect_agent', namespace, domain)
         self.machine: Machine | None = None
         self.tools: dict[int, Tool] = {}
+        self._assets: dict[str, int] = {}  # the tool that was changed, and removed, last
         self._store: Store | None = None
         self._program = LoadedProgram()
         self._lines: list[str] = []
@@ -102,8 +103,12 @@ class MachineWatch(ServedNode):
         self._modes = modes
 
     def _see_setup(self, table: SetupTable) -> None:
-        self._setup = JobSetup.of_text(table.text)
+        self._setup, before = JobSetup.of_text(table.text), self.tools
         self.tools = dict(self._setup.tools)
+        for number in sorted(before.keys() | self.tools.keys()):
+            if before.get(number) != self.tools.get(number):
+                kind = 'asset_changed' if number in self.tools else 'asset_removed'
+                self._assets[kind] = number
 
     def _see_parts(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -163,6 +168,7 @@ class MachineWatch(ServedNode):
             'tool': str(tool),
             'tool_asset': asset_id(machine.name, tool) if tool in self.tools else '',
             'parts': str(self._parts),
+            **{kind: asset_id(machine.name, number) for kind, number in self._assets.items()},
         }
         for number, name in enumerate(machine.axis_names):
             for what, q in (('actual', state.positions), ('commanded', state.commanded_positions)):

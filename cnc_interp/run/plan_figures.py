@@ -208,7 +208,11 @@ class PlanFigures:
             'standstill': float(stands.sum()),
             'tools': [
                 section.to_json()
-                for section in self.times.sections(self.functions, machine, source)
+                for section in self.times.sections(
+                    self.functions,
+                    machine,
+                    source if self._planned else '',  # of a record: a name
+                )
             ],
             'samples': self.samples,
             'blocks': self._blocks - 1,

@@ -14,7 +14,7 @@ import numpy as np
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks import STOP, Blocks
 from cnc_interp.program.blocks.functions import Functions
 
 #: A line of a program that is nothing but a comment: the name of an operation.
@@ -81,21 +81,21 @@ class ProgramTimes:
     def __init__(self) -> None:
         self._lines: list[IntArray] = []
         self._rapid: list[BoolArray] = []
-        self._parts: list[tuple[IntArray, FloatArray]] = []  # rows, each once, and their times
-        self.stops = 0  #: Rows after which the program waits for the operator.
+        self._parts: list[tuple[IntArray, FloatArray]] = []  # rows, and the time spent in each
+        self.stops = 0  #: Rows after which the program waits for the operator (M0).
 
     def blocks(self, blocks: Blocks) -> None:
         self._lines.append(blocks.line_number)
         self._rapid.append(blocks.rapid)
-        self.stops += int(np.count_nonzero(blocks.program_stop))
+        self.stops += int(np.count_nonzero(blocks.program_stop == STOP))
 
     def piece(self, piece: PlannedPiece) -> None:
         self.spent(piece.path.cell_block[piece.law.cell], piece.law.duration)
 
     def spent(self, row: IntArray, time: FloatArray) -> None:
         """Add times that were spent in rows, both (n,) [s]."""
-        rows, place = np.unique(row, return_inverse=True)
-        self._parts.append((rows, np.asarray(np.bincount(place, time), dtype=float)))
+        first = np.flatnonzero(np.diff(row, prepend=row[0] - 1))
+        self._parts.append((row[first], np.add.reduceat(time, first)))
 
     def sections(
         self, functions: Functions, machine: Machine, source: str = ''
@@ -107,7 +107,7 @@ class ProgramTimes:
         motion = np.zeros(len(line))
         for row, spent in self._parts:
             known = (row >= 0) & (row < len(line))  # blocks of a record may be missing
-            motion[row[known]] += spent[known]
+            np.add.at(motion, row[known], spent[known])
         names = list(_operations(line, operation_names(source)))
         signals = machine.signals
         first = {words.start: word for word, words in signals.words.items()}

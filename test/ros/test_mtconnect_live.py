@@ -83,6 +83,13 @@ def test_a_client_sees_the_run_the_stop_and_the_end(served):
             state.positions[number], abs=1e-6
         )
     assert now['system'] == now['logic'] == now['motion'] == ['Normal: None']
+    words = ['tools', '5', '--length', '60', '--load', '--namespace', bench.namespace]
+    words = [sys.executable, '-m', 'cnc_interp', *words, '--domain', str(bench.domain)]
+    subprocess.run(words, check=True, env=clean_environment(), stdout=subprocess.DEVNULL)
+    bench.spin_until(lambda: client.values()['tool'] == ['5'])
+    (changed,) = client.values()['asset_changed']
+    (tool,) = client.get(f'/asset/{changed}')[1]
+    assert tool.get('toolId') == '5' and client.values()['tool_asset'] == [changed]
     bench.begin()
     bench.until_at(0.03)
     assert bench.press('emergency_stop').success

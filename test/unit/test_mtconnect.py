@@ -76,6 +76,7 @@ def test_every_document_is_valid(schemas):
         bench = Bench(machine)
         assert schemas['Devices'].validate(bench.get('/probe')), schemas['Devices'].error_log
         bench.store.observe({'availability': 'AVAILABLE', 'execution': 'ACTIVE', 'tip': '1 2 3'})
+        bench.store.observe({'tool_asset': '', 'asset_changed': 'a_tool_1'})
         bench.store.observe({'line': '12', 'X_actual': '1.5', 'block': 'G1 X<1> & "Y"'})
         bench.store.condition('system', FAULT, 'machine_node: drives', 'limit of X')
         bench.store.condition('system', WARNING, 'machine_node: jog', 'too fast')

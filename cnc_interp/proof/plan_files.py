@@ -85,7 +85,13 @@ SELDOM = {
     'removal': {'begin': REAL, 'end': REAL, 'removed': REAL},
     'remaining': {'line': WHOLE, 'interval': Column((2,))},
     'functions': FUNCTION_COLUMNS,
-    'followed': {'block': WHOLE, 'ramp': REAL, 'later': WHOLE, 'angle': REAL, 'position': AXES},
+    'followed': {
+        'block': WHOLE,
+        'ramp': REAL,
+        'later': WHOLE,
+        'angle': Column(default=np.nan),
+        'position': AXES,
+    },
 }
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')

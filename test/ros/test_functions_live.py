@@ -101,8 +101,14 @@ def test_tapped_holes_are_recorded_in_step_with_the_spindle_and_proven(tmp_path,
     # The workpiece zero of the machine file lies at Z -400.
     assert list(depth) == [4, 5] and all(abs(z + 406 * MM) < 0.05 * MM for z in depth.values())
     assert verify_plan(plan, machine).ok
-    # Whatever is out of step is found.
+    # Some angles may be unknown, most may not; whatever is out of step is found.
     columns = dict(np.load(plan / 'followed.npz'))
-    columns['angle'] = columns['angle'] * 1.01
-    np.savez(plan / 'followed.npz', **columns)
-    assert any('thread' in fault for fault in verify_plan(plan, machine).failures)
+    angle, number = columns['angle'], np.arange(len(columns['angle']))
+
+    def failures(changed):
+        np.savez(plan / 'followed.npz', **(columns | {'angle': changed}))
+        return verify_plan(plan, machine).failures
+
+    assert not failures(np.where(number % 20 == 0, np.nan, angle))
+    assert 'is known in' in failures(np.where(number % 5 == 0, np.nan, angle))[0]
+    assert any('thread' in fault for fault in failures(1.01 * angle))

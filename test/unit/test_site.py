@@ -23,6 +23,8 @@ def test_site_has_all_pages_and_the_library(tmp_path):
         name = page.relative_to(ROOT / 'docs').with_suffix('.html')
         made = tmp_path / (name.with_name('index.html') if page.stem == 'README' else name)
         assert made.is_file(), page
+    law = (tmp_path / 'how_it_works' / 'feedrate.html').read_text()
+    assert law.count('<math') > 20 and 'arithmatex' not in law and '$$' not in law
     api = (tmp_path / 'api.html').read_text()
     shown = set(re.findall(r'<h[23] id="([^"]+)"', api))
     assert {f'cnc_interp.{name}' for name in cnc_interp.__all__} <= shown

@@ -4,6 +4,7 @@ window.contact = {
   heard: performance.now(), // when the last beat came
   before: 0, // age of what had been shown then [ms]
   beat: 0,
+  tried: 0, // when the connection was last up, or being tried
   // Numbers of stops that are not answered yet: name and time of the press.
   stops: JSON.parse(sessionStorage.stops || '{}'),
 
@@ -49,7 +50,17 @@ window.contact = {
     if (this.age() > 3000) words.push(`no contact: what is shown is ${Math.floor(this.age() / 1000)} s old`);
     shown.textContent = words.join('; ');
   },
+  // A connection that the server has refused or ended is given up by its library, but not here.
+  connectAgain() {
+    const now = performance.now();
+    if (window.socket?.active !== false) this.tried = now;
+    else if (now - this.tried > 15000) {
+      this.tried = now;
+      window.socket.connect();
+    }
+  },
   look() {
+    this.connectAgain();
     for (const [number, [, pressed]] of Object.entries(this.stops))
       if (Date.now() - pressed > 60000) delete this.stops[number];
     this.keep();

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
+from browser import IN_CONTACT
 from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.page.contact import NO_TOKEN, WRONG_TOKEN
@@ -143,13 +144,14 @@ def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_p
     first.show()
     panel.begin(first)
     viewer.show()
+    viewer.wait(lambda: viewer.run(IN_CONTACT))
     viewer.click_with_mouse('feed hold')
     panel.until(MachineState.HELD)
     stranger = panel.open('wrong')
     stranger.show()
-    assert stranger.text('refused') == WRONG_TOKEN
+    stranger.wait(lambda: stranger.text('refused') == WRONG_TOKEN)
     stranger.click_with_mouse('take over')
-    stranger.wait(lambda: WRONG_TOKEN in stranger.text('refused'))
+    stranger.wait(lambda: stranger.text('refused') == WRONG_TOKEN)
     guest = panel.open('')
     guest.show()
     guest.click_with_mouse('take over')

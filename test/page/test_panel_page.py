@@ -252,7 +252,13 @@ def test_a_stop_is_never_lost_and_a_start_never_late(panel, long_program):
     tab.wait(lambda: tab.text('contact') == '')
     panel.go_on(tab)
 
-    # It is gone for good, and the page is loaded again.
+    # It is given up, as after a refusal of the server: the page tries again by itself.
+    tab.run('socket.disconnect(); document.querySelector(`[data-mark="feed hold"]`).click()')
+    panel.until(MachineState.HELD)
+    tab.wait(lambda: tab.text('contact') == '')
+    panel.go_on(tab)
+
+    # So it is, and the page is loaded again.
     tab.run('socket.disconnect(); document.querySelector(`[data-mark="feed hold"]`).click()')
     tab.reload()
     panel.until(MachineState.HELD)

@@ -77,7 +77,7 @@ def laws() -> None:
     """Print the scores of the laws: time over the optimum, over our time where there is none."""
     made: dict[str, Callable[[Problem], Score]] = {
         'jerk stage': planned,
-        'trapezoid': runpy.run_path(str(ROOT / 'examples' / 'feed_law.py'))['scored'],
+        'trapezoid': runpy.run_path(str(ROOT / 'examples' / '13_feed_law.py'))['scored'],
     }
     ratios: dict[str, list[float]] = {law: [] for law in (*made, 'bound without jerk')}
     print(f'| path | optimum s | {" | ".join(ratios)} |\n|{"---|" * (2 + len(ratios))}')

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import pyplot as plt
 from scipy.optimize import linprog
 from scipy.sparse import csr_matrix, diags, vstack
 
@@ -106,7 +107,7 @@ def solve(grid, jets, limits, feed, passes=30, settled=1e-4):
     return Law(grid, np.sqrt(b) / slower, a / slower**2, times * slower), history
 
 
-def reference(path, limits, nodes=400):
+def reference(path, limits, nodes=250):
     """Solve on nodes even along the path, then on nodes even in the time of that law."""
     grid = np.linspace(path.s[0], path.s[-1], nodes)
     for last in (False, True):
@@ -132,5 +133,13 @@ if __name__ == '__main__':
     found, steps = reference(route, axes)
     for number, (seconds, largest) in enumerate(steps):
         print(f'{number:2}: {seconds:8.4f} s, largest row {largest:.4f}')
-    ours = plan_path(route, axes).law.end_time
-    print(f'reference {found.duration.sum():.4f} s on {len(found.s)} nodes, product {ours:.4f} s')
+    ours = plan_path(route, axes).law
+    print(f'reference {found.duration.sum():.4f} s on {len(found.s)} nodes')
+    print(f'product {ours.end_time:.4f} s')
+    place, speed, _, _ = ours.evaluate(np.linspace(0, ours.end_time, 2000))
+    plt.plot(place * 1e3, speed * 60e3, label='product')
+    plt.plot(found.s * 1e3, found.v * 60e3, '.', ms=3, label='reference')
+    plt.xlabel('path length (mm)')
+    plt.ylabel('feed (mm/min)')
+    plt.legend()
+    plt.show()

@@ -1,4 +1,4 @@
-"""The examples of docs/library.md print what stands in their last comments; names load late."""
+"""The examples of docs/library.md print what their last comments say; names load late."""
 
 import contextlib
 import io
@@ -15,8 +15,8 @@ PAGE = (Path(__file__).parents[2] / 'docs' / 'library.md').read_text()
 EXAMPLES = re.findall(r'^## ([^\n]+)\n(?:(?!^## ).)*?^```python\n(.*?)^```$', PAGE, re.M | re.S)
 
 
-def test_there_are_six_examples():
-    assert len(EXAMPLES) == PAGE.count('```python') == 6
+def test_every_example_of_the_page_is_run():
+    assert len(EXAMPLES) == PAGE.count('```python') == 3
 
 
 @pytest.mark.parametrize(('title', 'code'), EXAMPLES)

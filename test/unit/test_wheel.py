@@ -59,5 +59,5 @@ def test_a_wheel_plans_proves_and_compares_laws_where_nothing_else_is(tmp_path):
     assert 'proven' in run('check', 'plan')
     assert 'complete -o' in run('completion', 'bash')
     assert run('completion', 'man').startswith('.TH CNC')
-    law = site.parents[2] / 'share' / 'cnc_interp' / 'examples' / 'feed_law.py'
+    law = site.parents[2] / 'share' / 'cnc_interp' / 'examples' / '13_feed_law.py'
     assert told(own, law, cwd=tmp_path, **bare).count(' times the optimum') == 3

@@ -561,6 +561,16 @@ def test_the_page_fits_every_window(panel):
         time.sleep(1.0)  # what is drawn follows later
         tab.wait(lambda: tab.run(FITS))
         tab.wait(lambda: tab.run(COVERED) == [])
+    # Nothing of a phone's dialogs lies below the keys that stop, or beside its screen.
+    tab.size(390, 844, True)
+    beside = '[...document.querySelectorAll(".q-dialog .file .q-btn")]'
+    beside += '.filter(part => part.getBoundingClientRect().right > innerWidth).length'
+    for name, end in (('settings', 'cancel settings'), ('programs', 'close programs')):
+        tab.click(name)
+        tab.centre(end)
+        assert tab.run(beside) == 0
+        tab.click_with_mouse(end)
+        tab.wait(lambda end=end: not tab.run(f'!!document.querySelector(`[data-mark="{end}"]`)'))
 
 
 @pytest.mark.thorough

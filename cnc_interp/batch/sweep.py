@@ -123,8 +123,9 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
 class Sweep:
     """Runs points, each once, and keeps what became of them.
 
-    ``words``: the command that is swept, without ``--out``; ``progress``: told the number of
-    points that are done. Raises InterpError if the command cannot be swept.
+    ``words``: the command that is swept, without ``--out``; ``progress``: called with the numbers
+    of points that are done and of those known from an earlier start. Raises InterpError if the
+    command cannot be swept.
     """
 
     def __init__(
@@ -133,13 +134,13 @@ class Sweep:
         words: Sequence[str],
         folder: Path,
         workers: Processes,
-        progress: Callable[[int], None],
+        progress: Callable[[int, int], None],
     ):
         self._words = _checked(words)
         self._main, self._folder, self._workers = main, folder.resolve(), workers
         self._progress = progress
         self.found: dict[Point, Found] = {}
-        self._done = 0
+        self._done = self._known = 0
         self._store = Store(folder / 'points', lambda content: Found(**content))
 
     def grid(self, ranges: Sequence[Range]) -> None:
@@ -181,13 +182,15 @@ class Sweep:
         points = [Point(self._words, one) for one in values]
         known = {point: self._store.find(point.key) for point in points if point not in self.found}
         new = [point for point, one in known.items() if one is None]
+        self._known += len(known) - len(new)
+        self._progress(self._done, self._known)
         calls = [partial(self._call, point) for point in new]
         for ended in self._workers.run(run_point, calls):
             point, one = new[ended.number], _found(ended)
             known[point] = one
             self._store.keep(point.key, one)
             self._done += 1
-            self._progress(self._done)
+            self._progress(self._done, self._known)
         self.found |= {point: found for point, found in known.items() if found is not None}
         return [self.found[point] for point in points]
 

@@ -108,6 +108,8 @@ def batch_command(options: argparse.Namespace) -> int:
 
     def tell(progress: Progress) -> None:
         known = f', {progress.known} known before' if progress.known else ''
+        if progress.done == progress.known:
+            bar.start('planning', f'{progress.total} programs{known}')
         bar.show('planning', progress.share, f'{progress.done} of {progress.total}{known}')
 
     with ProgressBar(None if options.json else sys.stderr) as bar:
@@ -186,13 +188,23 @@ def sweep_command(options: argparse.Namespace) -> int:
     ranges = [_range(words, options.search is not None) for words in options.vary]
     _check_options(options.commands, options.words, ranges)
     total = 1 + (options.search or math.prod(len(one.values) for one in ranges))
-    workers = Processes(options.workers, total_memory() / options.workers, HOUR)
+    workers, begun = Processes(options.workers, total_memory() / options.workers, HOUR), False
+
+    def tell(done: int, known: int) -> None:
+        nonlocal begun
+        before = f', {known} known before' if known else ''
+        if not begun:
+            begun = True
+            bar.start('sweeping', f'{total} points{before}')
+        share = min(1.0, done / max(1, total - known))
+        bar.show('sweeping', share, f'{done + known} of {total}{before}')
+
     sweep = points.Sweep(
         options.main,
         options.words,
         options.out,
         workers,
-        lambda done: bar.show('sweeping', min(1.0, done / total), f'{done} points'),
+        tell,
     )
     with ProgressBar(sys.stderr) as bar:
         if options.search:

@@ -57,6 +57,13 @@ def add_machine_commands(commands: Any) -> None:
         option('file', 'INI file of LinuxCNC 2.8 or later', Path, 'FILE'),
         option('--out', 'machine file to write (default: print it)', Path, 'MACHINE'),
     )
+    machine = commands.add_parser('machine', help='make a machine file by questions')
+    command(
+        machine.add_subparsers(required=True, metavar='COMMAND'),
+        new_command,
+        'machine new my_machine.yaml',
+        option('file', 'machine file to write', Path, 'FILE'),
+    )
 
 
 def urdf_command(options: Namespace) -> int:
@@ -81,6 +88,28 @@ def urdf_command(options: Namespace) -> int:
     for body, file in zip(bodies, files, strict=True):
         file.write_bytes(body.stl())
     write(urdf_of(machine, bodies, [file.as_uri() for file in files]), options.out)
+    return FINE
+
+
+def new_command(options: Namespace) -> int:
+    """Ask for the layout, the axes and their limits, write a machine file and show the machine."""
+    import yaml
+
+    from cnc_interp.convert.machine_questions import ask_machine, shown
+    from cnc_interp.machine_model.machine import Machine
+
+    if options.file.exists():
+        raise InterpError(f'{options.file} exists; give the name of a new file')
+    print('Press Enter to keep what is in brackets.')
+    try:
+        content = ask_machine(input, print)
+    except EOFError:
+        raise InterpError(
+            'the answers ended before the last question; nothing is written'
+        ) from None
+    write(yaml.safe_dump(content, sort_keys=False, default_flow_style=None), options.file)
+    print('\n'.join(['', *shown(Machine.load(options.file))]))
+    print(f'\nSee it: cnc-interp urdf {options.file} --out {options.file.with_suffix(".urdf")}')
     return FINE
 
 

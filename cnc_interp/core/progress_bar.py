@@ -16,9 +16,10 @@ BEFORE_THE_END = 0.99  #: Largest part that is shown while time is left [-].
 class TimeLeft:
     """Estimates the remaining time of work from its speed in the later half of the time."""
 
-    def __init__(self) -> None:
-        self._first = math.nan  # when the first part was done [s]
-        self._later: deque[tuple[float, float]] = deque()  # time and share in the later half
+    def __init__(self, begun: float = math.nan) -> None:
+        self._first = begun  # when the work began, or its first part was done [s]
+        known = [] if math.isnan(begun) else [(begun, 0.0)]
+        self._later = deque[tuple[float, float]](known)  # time and share in the later half
 
     def after(self, now: float, share: float) -> float:
         """Return the remaining time [s] at a time and a share of the work; NaN if unknown."""
@@ -54,6 +55,15 @@ class ProgressBar:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.end(complete=kind is None)
+
+    def start(self, work: str, note: str) -> None:
+        """Say what begins; the time left counts from now, not from the first part that is done."""
+        now = time.monotonic()
+        self.end(complete=False)
+        self._work, self._step, self._began, self._time_left = work, 0, now, TimeLeft(now)
+        if self._stream is not None:
+            self._stream.write(f'{work} {note}\n')
+            self._stream.flush()
 
     def of(self, work: str) -> Callable[[float], None]:
         return lambda share: self.show(work, share)

@@ -24,7 +24,7 @@ from cnc_interp.machine_model.axis_drives import (
     axis_drives,
     drive_loads,
 )
-from cnc_interp.machine_model.demands import demand
+from cnc_interp.machine_model.demands import Mistakes, demand
 from cnc_interp.machine_model.machine_entries import Macro, control, homing, macros, standstill
 from cnc_interp.machine_model.signals import Signals, signals
 
@@ -205,7 +205,7 @@ class Machine:
 
     @staticmethod
     def load(path_or_name: str | Path) -> Machine:
-        """Read a machine by file or bundled name; raises MachineError with the key."""
+        """Read a machine by file or bundled name; MachineError has a line for each mistake."""
         path = find_machine_file(path_or_name)
         try:
             content = read_yaml(path)
@@ -219,7 +219,8 @@ class Machine:
         try:
             machine = from_mapping(content, path.parent)
         except MachineError as problem:
-            raise MachineError(f'{path}: {problem}', '') from None
+            lines = (f'{path}: {line}' for line in str(problem).splitlines())
+            raise MachineError('\n'.join(lines)) from None
         bundled = path.parent in (machines_directory(), arms_directory())
         return machine if bundled else replace(machine, file=str(path.resolve()))
 
@@ -273,35 +274,48 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
         'missing; it holds velocity, acceleration, jerk of each axis',
         'limits',
     )
+    mistakes = Mistakes()
     for name in limits:
-        demand(name in names, f'the machine has no such axis (axes: {" ".join(names)})', name)
+        with mistakes:
+            demand(name in names, f'the machine has no such axis (axes: {" ".join(names)})', name)
     found = [
         entries.LOCKED_LIMITS
         if not linear[i] and entries.is_locked(rotary, names[i])
-        else entries.axis_limits(limits, name, linear[i])
+        else mistakes.read(entries.axis_limits, limits, name, linear[i])
         for i, name in enumerate(names)
     ]
+    read_geometry = entries.rotary_geometry if rotary else entries.linear_geometry
+    geometry = mistakes.read(read_geometry, rotary or content)
+    reads = control, macros, standstill
+    chosen = {read.__name__: mistakes.read(read, content) for read in reads}
+    mistakes.report()
     travel = {
         name: (np.array(of.travel), MM if straight else DEG)
         for name, of, straight in zip(names, found, linear, strict=True)
     }
-    loads = drive_loads(content, names, linear, found)
-    by_place = entries.limits_by_position(content, names, linear, found)
-    switches = homing(content, travel)
+    loads = mistakes.read(drive_loads, content, names, linear, found)
+    by_place = mistakes.read(entries.limits_by_position, content, names, linear, found)
+    switches = mistakes.read(homing, content, travel)
+    errors = mistakes.read(entries.following_errors, content, names, linear)
+    pace = mistakes.read(entries.block_pace, content, min(axis.max_jerk for axis in found[:3]))
+    mistakes.report()
+    drives = mistakes.read(axis_drives, content, names, linear, loads)
+    machine_signals = mistakes.read(
+        signals, content, switches.index, switches.switches, switches.squared
+    )
+    mistakes.report()
     return Machine(
         name=str(content.get('name', 'unnamed')),
         axis_names=tuple(names),
         limits=Limits(tuple(found)).having(by_place=by_place, load=loads),
-        drives=axis_drives(content, names, linear, loads),
+        drives=drives,
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
-        following_errors=entries.following_errors(content, names, linear),
+        following_errors=errors,
         homing=switches,
-        pace=entries.block_pace(content, min(axis.max_jerk for axis in found[:3])),
-        standstill=standstill(content),
-        control=control(content),
-        macros=macros(content),
-        signals=signals(content, switches.index, switches.switches, switches.squared),
-        **(entries.rotary_geometry(rotary) if rotary else entries.linear_geometry(content)),
+        pace=pace,
+        signals=machine_signals,
+        **chosen,
+        **geometry,
     )
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray
+from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray, MachineError
 from cnc_interp.core.axis_limits import AxisLimits, LimitsByPlace
 from cnc_interp.core.small_files import is_number
-from cnc_interp.machine_model.demands import demand
+from cnc_interp.machine_model.demands import Mistakes, demand
 from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 
@@ -214,20 +214,30 @@ def linear_geometry(content: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def needed_offsets(on_head: Collection[bool], locked: bool) -> list[str]:
+    """Return the keys under ``rotary`` that a layout needs."""
+    table = [] if all(on_head) else [k for k in GEOMETRY[:3] if k != GEOMETRY[1] or not locked]
+    return table + list(GEOMETRY[3:] if any(on_head) and not locked else ())
+
+
+def _direction(rotary: dict[str, Any], key: str) -> FloatArray:
+    about = np.asarray(numbers(entry(rotary, key, 'rotary', 'about'), 3, f'rotary.{key}.about'))
+    demand(np.linalg.norm(about) > 0.0, 'must not be zero', f'rotary.{key}.about')
+    return about / np.linalg.norm(about)
+
+
+def _on_head(rotary: dict[str, Any], key: str) -> bool:
+    carries = entry(rotary, key, 'rotary', 'carries')
+    where = f'rotary.{key}.carries'
+    demand(carries in ('workpiece', 'tool'), "must be 'workpiece' or 'tool'", where)
+    return bool(carries == 'tool')
+
+
 def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
-    directions, on_head = [], []
-    for key in ('primary', 'secondary'):
-        direction = entry(rotary, key, 'rotary', 'about')
-        about = np.asarray(numbers(direction, 3, f'rotary.{key}.about'))
-        demand(np.linalg.norm(about) > 0.0, 'must not be zero', f'rotary.{key}.about')
-        directions.append(about / np.linalg.norm(about))
-        carries = entry(rotary, key, 'rotary', 'carries')
-        demand(
-            carries in ('workpiece', 'tool'),
-            "must be 'workpiece' or 'tool'",
-            f'rotary.{key}.carries',
-        )
-        on_head.append(carries == 'tool')
+    mistakes, both = Mistakes(), ('primary', 'secondary')
+    directions = [mistakes.read(_direction, rotary, key) for key in both]
+    on_head = [mistakes.read(_on_head, rotary, key) for key in both]
+    mistakes.report()
     locked = any(rotary[key].get('locked') is True for key in ('primary', 'secondary'))
     tilt = rotary.get('singular_cone_deg', 0.02)
     cone = number(tilt, 'rotary.singular_cone_deg', 1e-4, 30.0) * DEG
@@ -241,16 +251,16 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
         'the axis next to the tool must tilt it away from +Z',
         'rotary',
     )
-    offsets = [
-        vector(rotary, key, all(on_head) or (key == GEOMETRY[1] and locked))
-        for key in GEOMETRY[:3]
-    ]
-    arms = [vector(rotary, key, locked or not any(on_head)) for key in GEOMETRY[3:]]
+    needed = needed_offsets(on_head, locked)
+    rows = [mistakes.read(vector, rotary, key, key not in needed) for key in GEOMETRY]
+    if set(needed) - set(rotary):
+        mistakes.found.append(MachineError(f'this layout needs {", ".join(needed)}', 'rotary'))
+    mistakes.report()
     return {
         'rotary_direction': np.array(directions),
         'rotary_on_head': (on_head[0], on_head[1]),
-        'offsets': np.array(offsets),
-        'tool_offset': np.array(arms),
+        'offsets': np.array(rows[:3]),
+        'tool_offset': np.array(rows[3:]),
         'singular_cone': cone,
     }
 
@@ -329,21 +339,24 @@ def axis_limits(limits: dict[str, Any], name: str, linear: bool) -> AxisLimits:
         isinstance(values, dict), 'missing; give velocity, acceleration, jerk', f'limits.{name}'
     )
     units = LINEAR_KEYS if linear else ROTARY_KEYS
-    require_known(values, units, f'limits.{name}')
+    mistakes, found = Mistakes(), []
+    mistakes.read(require_known, values, units, f'limits.{name}')
     *limit_keys, travel_key = units
-    found = []
     for key, (low, high) in zip(limit_keys, PLAUSIBLE[linear], strict=True):
-        demand(key in values, 'missing', f'limits.{name}.{key}')
-        unit = units[key]
-        found.append(number(values[key], f'limits.{name}.{key}', low / unit, high / unit) * unit)
+        where, unit = f'limits.{name}.{key}', units[key]
+        with mistakes:
+            demand(key in values, 'missing', where)
+            found.append(number(values[key], where, low / unit, high / unit) * unit)
     low, high = -np.inf, np.inf
-    if travel_key in values:
-        ends, where = values[travel_key], f'limits.{name}.{travel_key}'
-        lists = isinstance(ends, list) and len(ends) == 2
-        given = [x for x in ends if x not in (-np.inf, np.inf)] if lists else ends
-        numbers(given, len(given) if lists else 2, where)
-        demand(ends[0] < ends[1], 'must be [lowest, highest]', where)
-        low, high = (x * units[travel_key] for x in ends)
+    with mistakes:
+        if travel_key in values:
+            ends, where = values[travel_key], f'limits.{name}.{travel_key}'
+            lists = isinstance(ends, list) and len(ends) == 2
+            given = [x for x in ends if x not in (-np.inf, np.inf)] if lists else ends
+            numbers(given, len(given) if lists else 2, where)
+            demand(ends[0] < ends[1], 'must be [lowest, highest]', where)
+            low, high = (x * units[travel_key] for x in ends)
+    mistakes.report()
     return AxisLimits(found[0], found[1], found[2], (low, high))
 
 

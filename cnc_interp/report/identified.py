@@ -102,6 +102,7 @@ def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
         dash = 'dot' if colour == html.ORANGE else 'solid'
         line = {'color': colour, 'width': 1.2, 'dash': dash}
         html.add_curve(figure, row, time[kept], curve[kept] / unit, title, line, mode='lines')
+    figure.update_xaxes(range=[float(time[0]), float(time[-1])])  # where the motion ends
     figure.update_xaxes(title_text='time [s]', row=2, col=1)
     figure.update_yaxes(title_text=f'[{name}]')
     return html.laid_out(figure, 420)
@@ -148,7 +149,11 @@ def _bode(found: IdentifiedAxis, period: float) -> Any:
     viscous = found.load.row[2] if found.load is not None else 0.0
     model = transfer(found.drive, float(viscous), grid)
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
-    phases = np.degrees(np.angle(measured)), np.degrees(np.angle(model))
+    # A phase of more than half a turn continues; measured ones lie near the model.
+    continued = np.degrees(np.unwrap(np.angle(model)))
+    near = np.interp(frequency, grid, continued)
+    off = np.degrees(np.angle(measured)) - near
+    phases = near + (off + 180.0) % 360.0 - 180.0, continued
     for row, both in ((1, (np.abs(measured), np.abs(model))), (2, phases)):
         figure.add_scatter(
             x=frequency,

@@ -24,6 +24,7 @@ from cnc_interp.drives.identification import (
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
+from cnc_interp.report import identified
 from cnc_interp.report.identified import identified_lines, transfer, write_identified
 
 TIRED = Machine.load('xyzac_tired')
@@ -170,3 +171,18 @@ def test_the_machine_file_is_written_with_its_intervals(tmp_path):
         assert '+- 95 %: position_gain_per_s: 0.12, backlash_um: 0.2' in written
         assert written.count('drives:') == 1 and written.count('loads:') == 1
         assert '# The tool stands along machine +Z.' in written
+
+
+def test_the_axes_of_the_page_end_with_the_motion_and_its_phases_do_not_jump():
+    q, rate = excited()
+    late = replace(TRUTH, delay=6e-3)  # more than half a turn of phase below 120 Hz
+    columns = q[:, 0], q[:, 0], q[:, 0]
+    rows = np.arange(500, 500 + len(q))
+    found = identified.IdentifiedAxis(0, late, LOAD, {}, rows, *columns)
+    times = identified._time_figure(TIRED, found, 1e-3)
+    assert times.layout.xaxis.range == pytest.approx((rows[0] * 1e-3, rows[-1] * 1e-3))
+    curves = [curve for curve in identified._bode(found, 1e-3).data if curve.yaxis == 'y2']
+    measured, modelled = curves
+    assert np.abs(np.diff(modelled.y)).max() < 20.0 and min(modelled.y) < -270.0
+    near = np.interp(measured.x, modelled.x, modelled.y)
+    assert np.abs(measured.y - near).max() <= 180.0

@@ -128,3 +128,15 @@ def test_the_time_left_is_told_where_it_is_known(monkeypatch, share, left, shown
     bar._steps = 1000
     bar.show('work', share, left=left)
     assert stream.getvalue().startswith(shown) and '100%, about' not in stream.getvalue()
+
+
+def test_the_time_left_of_parts_counts_from_the_begin_of_the_work_which_is_shown_at_once(clock):
+    """Two workers end their first parts together: the next moment says nothing of their speed."""
+    log = io.StringIO()
+    bar = ProgressBar(log)
+    bar.start('sweeping', '12 points, 4 known before')
+    assert log.getvalue() == 'sweeping 12 points, 4 known before\n'
+    for clock.now, share in ((160.0, 1 / 8), (160.2, 2 / 8)):
+        bar.show('sweeping', share)
+    lefts = [float(line.split('about ')[1].split()[0]) for line in log.getvalue().splitlines()[1:]]
+    assert lefts == [420.0, pytest.approx(180.0, abs=2.0)]

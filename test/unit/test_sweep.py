@@ -71,8 +71,11 @@ def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
 
 
 def test_what_is_known_is_not_run_again_unless_its_program_changes(tmp_path):
-    program, told = tmp_path / 'part.ngc', []
+    program, told, progress = tmp_path / 'part.ngc', [], []
     program.write_text('X5')
+
+    def tell(*counts):
+        progress.append(counts)
 
     class Counting:
         def run(self, _, calls):
@@ -80,11 +83,13 @@ def test_what_is_known_is_not_run_again_unless_its_program_changes(tmp_path):
             return [EndedCall(number, Found(1.0)) for number in range(len(calls))]
 
     def start():
-        one = Sweep(main, ('plan', str(program)), tmp_path / 'out', Counting(), lambda _: None)
+        one = Sweep(main, ('plan', str(program)), tmp_path / 'out', Counting(), tell)
         one.grid([Range('ratio', ('1.5', '2'))])
         return list(one.found.values())
 
-    assert start() == start() == 3 * [Found(1.0)]
+    assert start() == 3 * [Found(1.0)] and progress == [(0, 0), (1, 0), (2, 0), (3, 0)]
+    progress.clear()
+    assert start() == 3 * [Found(1.0)] and progress == [(0, 3)], 'known points count at once'
     program.write_text('X9')
     start()
     assert [len(calls) for calls in told] == [3, 0, 3] and told[2] == told[0]
@@ -100,7 +105,7 @@ def test_a_search_finds_what_a_grid_would_and_does_not_depend_on_workers(tmp_pat
             words,
             tmp_path / f'{workers}',
             Processes(workers, 4 * GIGA, 300.0),
-            lambda _: None,
+            lambda *_: None,
         )
         one.search([Range('contour-tolerance', ('0.01', '0.05'))], 10)
         found.append(one.found)

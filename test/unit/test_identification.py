@@ -174,7 +174,7 @@ def test_the_machine_file_is_written_with_its_intervals(tmp_path):
 
 
 def test_the_axes_of_the_page_end_with_the_motion_and_its_phases_do_not_jump():
-    q, rate = excited()
+    q, _ = excited()
     late = replace(TRUTH, delay=6e-3)  # more than half a turn of phase below 120 Hz
     columns = q[:, 0], q[:, 0], q[:, 0]
     rows = np.arange(500, 500 + len(q))

@@ -74,7 +74,7 @@ def brought(place: Path, features: Iterable[str]) -> Path | None:
 
 
 class KernelLocator:
-    """Tells numba where the code of a kernel is kept, and whether it is current."""
+    """Says to numba where the code of a kernel is kept, and whether it is current."""
 
     def __init__(self, file: Path):
         self._py_file = file  # numba names it in warnings

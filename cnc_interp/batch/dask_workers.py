@@ -112,7 +112,7 @@ def call_there(
 
 
 def serve(host: str, port: int, dashboard: int, workers: int, say: Callable[[str], None]) -> None:
-    """Be a scheduler, and a worker if ``workers`` is not 0, until the process is interrupted."""
+    """Run a scheduler, and a worker if ``workers`` is not 0, until the process is interrupted."""
     dask.config.set({'distributed.scheduler.allowed-failures': MOST_LOST_WORKERS})
 
     async def live() -> None:
@@ -133,7 +133,7 @@ def serve(host: str, port: int, dashboard: int, workers: int, say: Callable[[str
 
 
 def join(address: str, workers: int, say: Callable[[str], None]) -> None:
-    """Be a worker of a scheduler elsewhere, until that ends or the process is interrupted."""
+    """Run a worker of a scheduler elsewhere until it ends or is interrupted."""
 
     async def live() -> None:
         worker = _worker(address, workers)

@@ -225,7 +225,7 @@ def _checked(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def without_effect(found: dict[Point, Found], option: str) -> bool:
-    """Tell whether all values of an option give the same motion, whatever the others are."""
+    """Return whether all values of an option give the same motion, whatever the others are."""
     groups: dict[Any, set[Any]] = {}
     for point, one in found.items():
         if point.values and one.cycle_time is not None:

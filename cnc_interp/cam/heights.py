@@ -183,7 +183,7 @@ class HeightStore:
         self._height = self._group['height']
 
     def _fits(self, place: Path, grid: NeedleGrid) -> bool:
-        """Tell whether a store of these needles is there; refuse a folder of somebody else."""
+        """Return whether a store of these needles is there; refuse a folder of somebody else."""
         ours = False
         try:
             found = self._zarr.open_group(place, mode='r')

@@ -108,7 +108,7 @@ class _Turns:
         return float(np.arcsin(min(sine.min(), 1.0))), float(rate.max()) / fastest
 
     def reached(self, transform: FiveAxis) -> bool:
-        """Tell whether the travel of the tilt contains the largest angles from the pole."""
+        """Return whether the travel of the tilt contains the largest angles from the pole."""
         inner = 1 - transform.outer
         low, high = transform.machine.travel[3 + inner]
         along = self.start @ transform.pole

@@ -136,7 +136,7 @@ SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
 
 
 def read_step_safely(path: Path, faces: Sequence[int], note: Callable[[str], None]) -> Part:
-    """Read faces in a process of its own; as ``step_file.read_step_part``."""
+    """Read faces in a separate process, like ``step_file.read_step_part``."""
     words = [str(path), *map(str, faces)]
     # -P: it imports this package and installed ones, and nothing from the folder of the user.
     command = [sys.executable, '-P', '-m', 'cnc_interp.cam.surface_file', *words]

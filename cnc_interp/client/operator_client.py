@@ -81,7 +81,7 @@ class SharedValue:
             self._until = now + self._patience
 
     def hear(self, value: float) -> None:
-        """Record a value that was received: values sent before it will not come any more."""
+        """Record a received value: values that were sent before it are superseded."""
         if value == self._heard:
             return
         if value in self._wishes:

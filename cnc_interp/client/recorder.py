@@ -70,7 +70,7 @@ class StreamRecord:
                 self._joins[run_id] = first
 
     def acknowledge(self, status: StreamStatus) -> None:
-        """Hear how far the receiver of the stream has come: so far the record must reach, too."""
+        """Note how far the receiver of the stream is, because the record must reach as far."""
         run_id, reached = run_id_of(status), int(status.next_sequence)
         first, last = self._received.get(run_id, (reached, reached))
         self._received[run_id] = first, max(last, reached)
@@ -169,7 +169,7 @@ class Recorder:
         return self._bag.fault
 
     def ready(self) -> bool:
-        """Ask the nodes for their parameters; tell whether all know that this one listens."""
+        """Request the parameters of the nodes; return whether all know this subscriber."""
         for node in self._parameters.keys() - self._known:
             answer = self._parameters[node].answer()
             if answer is not None:
@@ -179,7 +179,7 @@ class Recorder:
         return len(self._known) == len(self._parameters)
 
     def complete(self) -> bool:
-        """Ask the nodes for what they have collected; tell whether everything is recorded."""
+        """Request what the nodes have collected; return whether everything is recorded."""
         if self._ended is None:
             self._ended = self._node.get_clock().now()
         for node in self._missing():
@@ -190,7 +190,7 @@ class Recorder:
         return not self._missing() and whole and self._has_last_state()
 
     def _has_last_state(self) -> bool:
-        """Tell whether a state of the machine after the end is recorded; states come in order."""
+        """Say whether a state of the machine after the end is recorded; states come in order."""
         if not self._state or self._ended is None:
             return 'machine_node' not in self._known
         told = deserialize_message(self._state, MachineState).header.stamp

@@ -95,7 +95,7 @@ class RecorderProcess:
         recorder.close()
 
     def look(self, timeout: float = 0.0) -> None:
-        """Hear what the recorder says, and whether it still lives."""
+        """Read what the recorder reports, and whether it still runs."""
         while self.fault is None and WHOLE not in self._said and self._pipe.poll(timeout):
             try:
                 word = self._pipe.recv()
@@ -108,14 +108,14 @@ class RecorderProcess:
                 self._said.add(word)
 
     def ready(self) -> bool:
-        """Tell whether the recorder hears all nodes; raises its error if it has ended."""
+        """Return whether the recorder hears all nodes; raises its error if it has ended."""
         self.look()
         if self.fault is not None:
             raise self.fault
         return READY in self._said
 
     def finish(self) -> None:
-        """Let the recorder write its last messages. Raises an error if the bag is not whole."""
+        """Wait until the recorder has written its last messages; raises if the bag is cut."""
         try:
             with contextlib.suppress(OSError):  # it has ended
                 self._pipe.send(self.wanted)

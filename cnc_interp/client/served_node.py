@@ -15,7 +15,7 @@ LAST_WAIT = 20.0  #: For the end of ROS in this process [s].
 
 
 class ServedNode:
-    """Without ``domain`` that of the environment counts."""
+    """Without ``domain``, the domain of the environment is used."""
 
     def __init__(self, name: str, namespace: str, domain: int | None = None):
         stay_on_this_host()

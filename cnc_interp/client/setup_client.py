@@ -83,7 +83,7 @@ def offset_changes(
 
 
 class SetupClient:
-    """Hears the table of offsets and tools; ``who``: its name in the log of what it changes."""
+    """Reads the table of offsets and tools; ``who``: its name in the log of what it changes."""
 
     def __init__(self, nodes: OperatorClient, who: str):
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'

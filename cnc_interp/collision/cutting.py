@@ -255,7 +255,7 @@ def freshen(field: Field, mills: Mills, rows: FloatArray, step: float) -> None:
 def _beside(
     row: FloatArray, slabs: FloatArray, middle: tuple[float, float], room: tuple[float, float]
 ) -> bool:
-    """Tell whether a tool surely stays beside a rectangle of so much room around a middle."""
+    """Return whether a tool surely stays beside a rectangle of so much room around a middle."""
     low, high, wide = slabs[0, Z0], slabs[-1, Z1], slabs[:, R1].max()
     for k in range(2):
         at = middle[k] - row[TIP + k]

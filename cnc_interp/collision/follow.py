@@ -299,7 +299,7 @@ def _met(
     which: int,
     step: float,
 ) -> bool:
-    """Tell whether slabs meet a field, the second one once it is cut where they may meet it."""
+    """Return whether slabs meet a field, the second one once it is cut where they may meet it."""
     if which == 0:
         return pass_over(fields[0], guard, row, step, 0, MEET)[0] > 0.0
     if pass_over(fields[1], guard, row, 0.0, 0, MEET)[0] == 0.0:

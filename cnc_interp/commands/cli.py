@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _is_interrupt(problem: BaseException | None) -> bool:
-    """Tell whether it was Ctrl-C; a library that is being loaded makes an ImportError of it."""
+    """Return whether it was Ctrl-C; a library that is being loaded makes an ImportError of it."""
     while not isinstance(problem, KeyboardInterrupt | None):
         problem = problem.__cause__ or problem.__context__
     return problem is not None

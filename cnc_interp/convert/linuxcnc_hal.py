@@ -128,7 +128,7 @@ class _Conversion:
         self.ours = {each for pins in self.place.values() for each in pins.split()}
 
     def _power(self, faults: list[str], signals: Signals) -> None:
-        """Let power need the wish, no fault, no empty stream and a released emergency stop.
+        """Gate the power: requested, no fault, no empty stream, emergency stop released.
 
         Without it, outputs with a gate are off, until cnc_interp asks for power anew.
         """
@@ -231,7 +231,7 @@ class _Conversion:
     def _index(
         self, x: str, asked: str, command: str, actual: str, offset: str, unit: float
     ) -> tuple[str, str]:
-        """Let an axis count from its index; return where its command and its position are.
+        """Make an axis count from its index; return where its command and its position are.
 
         At its index pulse an encoder counts anew from 0. So ``index`` takes the jump off its
         position, and adds it to the command, in that period: the machine sees a position that
@@ -385,7 +385,7 @@ class _Conversion:
         }
 
     def _is_ours(self, word: str, signal: str) -> bool:
-        """Tell whether a line is about a signal that has a new name, or none of its pins."""
+        """Return whether a line is about a signal that has a new name, or none of its pins."""
         if word == 'newsig':
             self.signals.add(signal)
         return self._new_name(signal) != signal or signal not in self.signals

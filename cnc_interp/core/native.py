@@ -48,7 +48,7 @@ def call_c(_context: Any, _function: Any, _first: Any, _second: Any, _third: Any
 
 @intrinsic
 def fence(_context: Any) -> Any:
-    """Let everything written before be seen before anything that is written after."""
+    """Order memory: what was written before is visible before what follows."""
 
     def generate(context: Any, builder: Any, _signature: Any, _given: Any) -> Any:
         builder.fence('seq_cst')

@@ -128,7 +128,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def is_number(value: Any) -> bool:
-    """Tell whether a value of such a file is a finite number; true and false are none."""
+    """Return whether a value of such a file is a finite number; true and false are none."""
     return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 

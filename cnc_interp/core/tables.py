@@ -33,7 +33,7 @@ class Column:
         return np.full((rows, *tail), self.default or 0, self.kind)
 
     def fits(self, shape: tuple[int, ...], rows: int) -> bool:
-        """Tell whether an array of this shape is such a column with so many rows."""
+        """Return whether an array of this shape is such a column with so many rows."""
         if len(shape) != 1 + len(self.tail) or shape[0] != rows:
             return False
         return shape[1:] == self.tail or all(

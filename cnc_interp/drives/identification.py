@@ -141,7 +141,7 @@ def _after_reversals(setpoint: FloatArray) -> BoolArray:
 
 
 def _near_motion(setpoint: FloatArray, period: float) -> BoolArray:
-    """Tell where the axis moves or settles; a long rest shows one rounding many times."""
+    """Return where the axis moves or settles; a long rest repeats one rounding."""
     moves = np.abs(np.diff(setpoint, prepend=setpoint[0])) > STILL
     last = np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -len(moves)))
     return np.arange(len(moves)) - last <= SETTLING / period

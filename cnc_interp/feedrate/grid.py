@@ -208,7 +208,7 @@ def _lies_on_line(
     v: float,
     most: float,
 ) -> bool:
-    """Tell whether q_ss and q_sss of cells first ... last are linear in s, within ``most``."""
+    """Return whether q_ss and q_sss of cells first ... last are linear in s, within ``most``."""
     span = s[last + 1] - s[first]
     for k in range(left.shape[2]):
         q = left[0, first, k]

@@ -97,7 +97,7 @@ def _is_bounded(
     duration: float,
     room: tuple[float, float],
 ) -> bool:
-    """Tell whether no use of a limit rises by more than a room between ends and middle of a step.
+    """Say whether no use of a limit rises by more than a room between ends and middle of a step.
 
     ``law``: v, a and j at its begin; ``room``: of the jerk, and of all other limits [-].
     """
@@ -137,7 +137,7 @@ def _time_to(distance: float, v: float, a: float, j: float, most: float) -> floa
 
 @njit(cache=True, nogil=True)
 def _may_release(release: float, straight: float, v: float, a: float) -> bool:
-    """Tell whether j = a^2 / (2 v) is at least a part of the jerk on a straight line."""
+    """Return whether j = a^2 / (2 v) is at least a part of the jerk on a straight line."""
     return a < 0.0 and 2 * release * straight * v <= a * a
 
 

@@ -115,7 +115,7 @@ class JointPassages(Passages[PathAhead]):
     def _decide(
         self, path: PathAhead, walk: _Walk, core: tuple[float, float], rests: tuple[bool, bool]
     ) -> None:
-        """Let a joint lead past a pose, if that is faster, or keep the spin, or give up.
+        """Lead past a pose by a joint if that is faster, keep the spin, or give up.
 
         ``rests``: whether the motion rests at the start and at the end of the path.
         """

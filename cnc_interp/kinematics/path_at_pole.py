@@ -78,7 +78,7 @@ class PathAtPole(PathAhead):
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
     def may_change_sign(self, i: int, tilt: float) -> bool:
-        """Tell whether the tilt may go to the other side: its travel there is not the shorter."""
+        """Say whether the tilt may go to the other side: its travel there is not the shorter."""
         transform = self.transform
         inner = 1 - transform.outer
         low, high = transform.machine.travel[3 + inner]

@@ -317,7 +317,7 @@ class AxisPathBuilder:
     def _kinks(
         self, left: FloatArray, feed_left: FloatArray, right: FloatArray, feed_right: FloatArray
     ) -> BoolArray:
-        """Tell at which grid points q_s or q_ss jump so far that the tool must rest, shape (n,).
+        """Return at which grid points q_s or q_ss jump so far that the tool must rest, shape (n,).
 
         In a period a jump of q_s at speed v is a jerk of |jump| v / T^2, one of q_ss |jump| v^2 /
         T. Exact corners jump by rounding only; ``linear`` and ``paper`` do not.

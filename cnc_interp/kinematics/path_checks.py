@@ -69,7 +69,7 @@ def refuse_tilt(machine: Machine, segments: PathSegments) -> None:
 
 
 def refuse(transform: Transform, status: int, line: int, stands: FloatArray) -> NoReturn:
-    """Refuse what cannot be cut into cells, beside the positions that were reached last."""
+    """Reject what cannot be cut into cells, and name the last positions reached."""
     machine = transform.machine
     if isinstance(transform, JointChain) and status != STANDSTILL:
         raise transform.refusal(stands, line, status == SINGULAR)

@@ -265,7 +265,7 @@ class PolePassages(Passages[PathAtPole]):
     def _set_free(
         self, path: PathAtPole, left: PassageEnd, right: PassageEnd, begins: bool
     ) -> PassageEnd:
-        """Let the outer axis begin where it shall go, if the tool leaves the pole from rest."""
+        """Start the outer axis where it will go, if the tool leaves the pole from rest."""
         leaves = self._stopped and path.motion[left.segment] == FOLLOWING
         if not begins or not (leaves or self._free):
             return left

@@ -36,7 +36,7 @@ def septic_fits(
     axes: IntArray,
     rounding: float,
 ) -> bool:
-    """Tell whether the septic of a cell has the exact axes and third derivatives at one place."""
+    """Say whether the septic of a cell has the exact axes and third derivatives at one place."""
     coefficients = np.empty(8)
     for i in axes:
         septic_coefficients(left[:, i], right[:, i], h, coefficients)

@@ -342,7 +342,7 @@ def arc_length(
 
 @njit(cache=True, nogil=True)
 def tip_rests(shape: FloatArray) -> bool:
-    """Tell whether the tip of a spline of this shape, as in ``sample``, rests at 0, 0.5 or 1."""
+    """Return whether the tip of a spline of this shape, as in ``sample``, rests at 0, 0.5 or 1."""
     for u in PLAIN_GRID:
         tip = top = 0.0
         for k in range(3):

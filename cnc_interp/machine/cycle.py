@@ -152,7 +152,7 @@ class Cycle:
         publish(descriptors[after % len(descriptors)], kernel.NEXT, serial)
 
     def relink(self, after: int, serial: int) -> bool:
-        """Let one chunk come after another, in place of those between; False where it is too late.
+        """Make one chunk follow another, replacing those between; False if it is too late.
 
         The cycle reads the link when it leaves the last row of a chunk: then only its next period
         tells which link it took. Raises StreamError if the clock stands.
@@ -188,7 +188,7 @@ class Cycle:
         publish(self._control, kernel.MUTE, int(mutes))
 
     def watch_limits(self, axes: Sequence[int], watched: bool) -> None:
-        """Let the limit switches of axes stop a motion, or not, as while they are homed."""
+        """Enable the limit switches of axes; they are disabled while the axes are homed."""
         rows = self._memory.switches
         rows[np.isin(rows[:, 1], axes), 3] = watched
 
@@ -224,11 +224,11 @@ class Cycle:
 
     @property
     def follows(self) -> bool:
-        """Tell whether it moves in step with the spindle."""
+        """Return whether it moves in step with the spindle."""
         return bool(self._control[kernel.SOURCE] == kernel.FOLLOW)
 
     def has_news(self, count: int) -> bool:
-        """Tell whether it has done more than to go on along its chunks by less than ``count``."""
+        """Say whether it has done more than to go on along its chunks by less than ``count``."""
         control = self._control
         return bool(
             control[kernel.SOURCE] != kernel.CHUNK

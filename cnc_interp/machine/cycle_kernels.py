@@ -135,7 +135,7 @@ def _switch(memory: Memory) -> None:
 
 @njit(cache=True, nogil=True)
 def _begins_to_follow(memory: Memory) -> bool:
-    """Tell whether what begins is a line in step with the spindle; then prepare it."""
+    """Return whether what begins is a line in step with the spindle; then prepare it."""
     spindle, control = memory.spindle, memory.control
     states = spindle.places.states
     if states < 0 or spindle.commanded[states + spin.TURNS] == 0:
@@ -168,7 +168,7 @@ def _follow(memory: Memory) -> int:
 
 @njit(cache=True, nogil=True)
 def _probe_answers(memory: Memory) -> bool:
-    """Tell whether the watched probe is as it was waited for; then it is watched no more."""
+    """Return whether the watched probe is as it was waited for; then it is watched no more."""
     if len(memory.probe) == 0:
         return False
     armed = memory.spindle.commanded[memory.probe[0]]
@@ -196,7 +196,7 @@ def _tip_speed(memory: Memory) -> float:
 
 @njit(cache=True, nogil=True)
 def _follow_speed(memory: Memory) -> None:
-    """Let outputs be the share of what is commanded that belongs to the speed of the tip."""
+    """Scale outputs by the share that belongs to the speed of the tip."""
     outputs, speed = memory.outputs, _tip_speed(memory)
     for k, number in enumerate(memory.by_speed.number):
         only = memory.by_speed.only_with[k]
@@ -301,7 +301,7 @@ def run_periods(memory: Memory, step: int, period: int, together: int) -> None:
 
 @cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
 def follow_ideally(_memory: int, setpoint: int, feedback: int, n: int) -> int:
-    """Let the axes be where they should be: the step in place of drives that Python feeds."""
+    """Put the axes at their setpoints, in place of drives that Python feeds."""
     wanted, actual = carray(pointer(setpoint), 2 * n), carray(pointer(feedback), 2 * n)
     for i in range(2 * n):
         actual[i] = wanted[i]

@@ -68,7 +68,7 @@ class Drives(ABC):
         """Release the axes; the machine is at rest."""
 
     def close(self) -> None:
-        """Let the drives go: the machine ends, and its clock has stopped."""
+        """Release the drives when the machine ends; its clock has stopped."""
 
     def fault(self, number: int) -> str:
         """Say what a number of the step means, and what to do; that of an alarm without sign."""

@@ -278,7 +278,7 @@ class HalDrives(HomedDrives):
             raise DriveFaultError(CAUSES[hal_step.STOPPED])
 
     def _step_until(self, word: int, value: int) -> None:
-        """Let periods pass in place of the clock, which does not run, until a word has a value."""
+        """Pass periods while the clock does not run, until a word has a value."""
         n, memory = len(self._names), self.memory.ctypes.data
         setpoint, feedback = np.zeros((2, n)), np.zeros((4, n))
 
@@ -294,7 +294,7 @@ class HalDrives(HomedDrives):
         return (self._block.held if held else self._block.actual[1]).copy()
 
     def switch_on(self) -> None:
-        """Ask for power and wait until the drives confirm it; the clock of the machine runs."""
+        """Request power and wait until the drives confirm it; the clock of the machine runs."""
         words = self._block.words
         self._wait(lambda: bool(words[hal_step.POWER_BEFORE] == hal_step.OFF))
         publish(words, hal_step.POWER, hal_step.HOLD)

@@ -202,7 +202,7 @@ def _judge(block: Block) -> int:
 
 @njit(cache=True, nogil=True)
 def _tell_angle(block: Block) -> None:
-    """Tell the angle by rows, so that it is uniform in time however samples come.
+    """Return the angle by rows, uniform in time however the samples arrive.
 
     NaN if the row has not been sampled yet, because HAL's thread is late: two samples would show
     its speed to a step of the encoder only.

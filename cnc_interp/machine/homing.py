@@ -45,7 +45,7 @@ class SimulatedSwitches:
         return np.asarray((q - self._at) * self.towards >= 0.0)
 
     def passed(self, q: FloatArray) -> BoolArray:
-        """Tell which axes have met the index that they were asked for."""
+        """Return which axes have passed the index that they search."""
         return np.asarray((q - self._index) * self.towards <= 0.0)
 
     def lose(self, names: Sequence[str]) -> None:
@@ -202,7 +202,7 @@ class Homing:
         self._jog.beat({}, 0.0, now)
 
     def work(self, now: float) -> None:
-        """Go on, before the work of the jog; raise StreamError if homing has ended early."""
+        """Continue homing before the jog of this period; raise StreamError if it ended early."""
         if not self._stages:
             return
         state = self._playback.state

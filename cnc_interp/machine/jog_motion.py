@@ -92,7 +92,7 @@ class JogMotion:
 
     @property
     def over(self) -> bool:
-        """Tell whether all setpoints are handed out; the last one is at rest."""
+        """Return whether all setpoints are handed out; the last one is at rest."""
         return self._next >= self._last
 
     def stop(self) -> None:
@@ -150,7 +150,7 @@ class JogMotion:
     def _solve(
         self, state: FloatArray, velocity: FloatArray, target: FloatArray, together: object
     ) -> ruckig.Trajectory:
-        """Let ruckig find the motion to targets, or to velocities where the target is NaN."""
+        """Find the motion with ruckig to targets, or to velocities where the target is NaN."""
         largest, acceleration, jerk = self.slides.limits.by_order
         aims = np.isfinite(target)
         wanted = ruckig.InputParameter(len(target))

@@ -50,12 +50,12 @@ class PlanQueue:
         self.on_tail, self.row = False, -1
 
     def take(self, serial: int) -> None:
-        """Go on to the chunk with a serial number."""
+        """Continue with the chunk that has a serial number."""
         while self.current is None or self.current.serial < serial:
             self.current, self.row = self.buffer.pop(), -1
 
     def take_tail(self) -> None:
-        """Go on to the stop tail of the current chunk, and drop what would have come after it."""
+        """Continue with the stop tail of the current chunk, dropping what would have followed."""
         current = self.current
         self.empty()
         self.current, self.on_tail = current, True
@@ -106,11 +106,11 @@ class PlanQueue:
         self.buffer.clear(self._axes.setpoints[-1])
 
     def is_left(self, state: RunState) -> bool:
-        """Tell whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
+        """Say whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
         return self.on_tail or state.plan_over
 
     def is_void(self, run_id: RunId, begins: FloatArray | None, state: RunState) -> bool:
-        """Tell whether setpoints are not needed, because the machine has left their plan.
+        """Return whether setpoints are not needed, because the machine has left their plan.
 
         The machine has also left a plan whose first setpoint, ``begins``, is not where the axes
         are after they were moved by hand.
@@ -123,7 +123,7 @@ class PlanQueue:
         return run_id == self.run_id and (self.is_left(state) or away)
 
     def begins_elsewhere(self, begins: FloatArray) -> bool:
-        """Tell whether no motion from rest has this setpoint as its first one."""
+        """Return whether no motion from rest has this setpoint as its first one."""
         axes = self._axes
         if begins.shape != axes.setpoints[-1].shape:
             return False  # of another machine, which the checks of its message tell

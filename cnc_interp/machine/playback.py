@@ -233,7 +233,7 @@ class Playback:
 
     @property
     def busy(self) -> bool:
-        """Tell whether the cycle must be read often: setpoints wait or move."""
+        """Return whether the cycle must be read often: setpoints wait or move."""
         waits = self.plans.buffer.count or self.switching.busy or self._delayed is not None
         return bool(not self.state.resting or waits)
 
@@ -368,7 +368,7 @@ class Playback:
             self._switch_off(EMERGENCY if emergency else FAULT)
 
     def _work(self, seconds: float) -> None:
-        """Go on with the outputs that are set at rest, some time later; start what may start."""
+        """Continue setting the outputs at rest; start what may start."""
         switching = self.switching
         waits = self.state.waits_for in (WaitsFor.SETPOINTS, WaitsFor.NEW_PLAN)
         self._see_stop()

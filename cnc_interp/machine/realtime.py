@@ -19,7 +19,7 @@ LARGEST, CAUGHT_UP, RECORD = CLASSES, CLASSES + 1, CLASSES + 2
 
 
 def ask_for_priority(priority: int) -> str:
-    """Ask for SCHED_FIFO, 1 to 99, of the calling thread; return in words what was granted."""
+    """Request SCHED_FIFO, 1 to 99, of the calling thread; return in words what was granted."""
     if priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))

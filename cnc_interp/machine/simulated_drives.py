@@ -55,7 +55,7 @@ class SimulatedDrives(CycleDrives):
         self._before, self._unchanged = self.outputs.copy(), np.full(len(self.outputs), np.inf)
 
     def _spin(self, machine: Machine, period: float) -> None:
-        """Let a spindle with an encoder turn in each period."""
+        """Turn a spindle with an encoder in each period."""
         places = machine.signals.spindle
         if places.angle < 0:
             return
@@ -73,7 +73,7 @@ class SimulatedDrives(CycleDrives):
         return self._words[:, RING].copy()
 
     def exchange(self, seconds: float) -> None:
-        """Let the inputs follow the outputs that they are declared to follow."""
+        """Set the inputs from the outputs that they follow by their declaration."""
         self._unchanged += seconds
         self._unchanged[self.outputs != self._before] = 0.0
         self._before[:] = self.outputs

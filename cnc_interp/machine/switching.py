@@ -201,7 +201,7 @@ class Switching:
         return Act(next(found, Step('', output, value)), value)
 
     def forget_states(self, follows: bool) -> None:
-        """Let nothing that counts for a run alone count for the next one."""
+        """Drop the state that belongs to one run alone."""
         if self._signals.probe:
             for outputs in (self._commanded, self._drives.outputs):
                 outputs[self._signals.probe[0]] = 0.0
@@ -235,7 +235,7 @@ class Switching:
         self._is_set, self._breach = self._is_set and bool(self._queue), ''
 
     def work(self, seconds: float, may_begin: Callable[[Act], bool]) -> list[Act]:
-        """Let time pass; return what was set."""
+        """Advance the time; return what was set."""
         done = []
         self._waited += seconds
         while self._queue:

@@ -48,7 +48,7 @@ class Controller(Protocol):
         """Return the time of ROS [ns]."""
 
     def listens(self) -> bool:
-        """Tell whether somebody takes trajectories."""
+        """Return whether somebody takes trajectories."""
 
     def send(self, trajectory: Trajectory) -> None:
         """Send a trajectory that replaces the one before."""
@@ -57,7 +57,7 @@ class Controller(Protocol):
         """Return what was reported since the last call."""
 
     def close(self) -> None:
-        """Let it go."""
+        """Release the controller."""
 
 
 class TrajectoryDrives(DelayedDrives):

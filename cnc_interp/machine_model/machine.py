@@ -200,7 +200,7 @@ class Machine:
 
     @property
     def has_rotary(self) -> bool:
-        """Tell whether programs may name its rotary axes; an arm has joints instead."""
+        """Return whether programs may name its rotary axes; an arm has joints instead."""
         return self.arm is None and not self.is_linear.all()
 
     @staticmethod

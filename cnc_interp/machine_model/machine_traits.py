@@ -36,7 +36,7 @@ class MachineTraits:
     pace: BlockPace | None = None  #: How its control goes through short blocks.
 
     def keeps_tool(self, axis: FloatArray) -> bool:
-        """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""
+        """Return whether a tool along an axis, shape (3,), cannot turn on a curve."""
         if self.pole is None:
             return not self.turns
         away = float(np.linalg.norm(np.cross(axis, self.pole)))

@@ -209,7 +209,7 @@ class Signals:
         return bool(self.outputs) and self.outputs[-1].name == TOOL
 
     def is_change(self, step: Step) -> bool:
-        """Tell whether a step waits until the operator has put a tool in."""
+        """Return whether a step waits until the operator has put a tool in."""
         return self.changed_by_hand and step.output == len(self.outputs) - 1
 
     def input(self, name: str) -> int:
@@ -340,7 +340,7 @@ def signals(
 
 
 def _with_tool_change(found: Signals) -> Signals:
-    """Let M6 stop the spindle and wait for the operator, unless it is a function already."""
+    """Make M6 stop the spindle and wait for the operator, unless it is a function."""
     if 'M6' in found.words:
         return found
     stops = [replace(found.steps[k], word='M6') for k in found.words.get('M5', ())]
@@ -434,7 +434,7 @@ def _interlocks(
 
 
 def _may_break(step: Step, interlocks: Mapping[int, tuple[int, ...]], first: int) -> bool:
-    """Tell whether an interlock can forbid a step; conditions from ``first`` on are outputs."""
+    """Return whether an interlock can forbid a step; conditions from ``first`` on are outputs."""
     number, demands = first + step.output + 1, [c for each in interlocks.values() for c in each]
     on, off = step.value != 0.0, step.value == 0.0 or isinstance(step.value, str)
     return (on and (step.output in interlocks or -number in demands)) or (

@@ -1,4 +1,4 @@
-"""Hears the nodes and tells the store what they do; it offers nothing and sends nothing."""
+"""Subscribes to the nodes and stores what they do; it sends nothing."""
 
 from __future__ import annotations
 
@@ -81,14 +81,14 @@ class MachineWatch(ServedNode):
         self._name = Question(asked, GetParameters.Request(names=['machine']))
 
     def knows_machine(self) -> bool:
-        """Ask for the name of the machine until it is known; raises MachineError without file."""
+        """Request the name of the machine until it is known; raises MachineError without file."""
         answer = self._name.answer()
         if answer is not None and answer.values:
             self.machine = Machine.load(answer.values[0].string_value)
         return self.machine is not None
 
     def tell(self, store: Store) -> None:
-        """Tell a store from now on."""
+        """Write to a store from now on."""
         self._store = store
 
     # What is heard ------------------------------------------------------------------------------

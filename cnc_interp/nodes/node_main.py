@@ -143,7 +143,7 @@ def answer_flush(node: Any, _request: Any, response: Any) -> Any:
 
 
 def come_first(niceness: int = NICENESS) -> None:
-    """Ask the system to prefer this process, and its session on desktops. Only some users may."""
+    """Raise the priority of this process and its desktop session, where that is permitted."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if os.getsid(0) == os.getpid():  # a session of its own, not that of a shell

@@ -91,7 +91,7 @@ class Peers:
 
     @property
     def at_rest(self) -> bool:
-        """Tell whether the machine rests and is not about to move by itself."""
+        """Return whether the machine rests and is not about to move by itself."""
         return (
             self.state is not None
             and self.state.resting
@@ -100,7 +100,7 @@ class Peers:
 
     @property
     def all_heard(self) -> bool:
-        """Tell whether each other node was heard once; one that was not may still start."""
+        """Return whether each other node was heard once; one that was not may still start."""
         return self.state is not None and self._seen.keys() >= RECEIVERS.keys()
 
     def missing(self, now: float, timeout: float) -> str:

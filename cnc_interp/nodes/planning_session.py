@@ -295,7 +295,7 @@ class PlanningSession:
         return min(max(needed, LEAD), LONGEST_LEAD)
 
     def _is_late(self, number: int) -> bool:
-        """Tell whether the machine may pass a setpoint before a plan can join there."""
+        """Return whether the machine may pass a setpoint before a plan can join there."""
         ahead = (number - self._received.executed) * self._period
         return ahead < MARGIN and not self._is_last(number)
 

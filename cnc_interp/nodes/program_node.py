@@ -300,7 +300,7 @@ class ProgramNode(Node):
         self._state = None
 
     def _see_unknown_run(self, now: float) -> None:
-        """Tell what to do if the machine waits in vain in a run that this node has not begun."""
+        """Say what to do if the machine waits in a run that this node has not begun."""
         state = self._peers.state
         if state is None or not state.program_id:
             return

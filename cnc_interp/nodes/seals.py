@@ -67,7 +67,7 @@ class Heard(NamedTuple):
 
 
 class Ear:
-    """Hears one topic; ignores, counts and names what has no seal of its one sender.
+    """Reads one topic; ignores, counts and names messages without the seal of its sender.
 
     ``tell`` gets who sent it; ``spoilt`` tells whether a message was damaged on its way. ``read``
     makes of the bytes what ``take`` gets.

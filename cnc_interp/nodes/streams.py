@@ -33,7 +33,7 @@ def sealed(message: Any) -> bytes:
 
 
 def is_spoilt(data: bytes) -> bool:
-    """Tell whether a serialised message has a checksum that is not that of its content."""
+    """Return whether a serialised message has a checksum that is not that of its content."""
     given = int.from_bytes(data[-CHECKSUM:], 'little')
     return given != 0 and given != zlib.crc32(data[:-CHECKSUM])
 
@@ -125,7 +125,7 @@ class Inlet:
             self._publish(self.receiver.run_id, refusal_kind=Refusal.FOREIGN, refusal=sender)
 
     def _is_spoilt(self, kind: Any, data: bytes) -> bool:
-        """Ask for a message again if its checksum is wrong, with a seal or without."""
+        """Request a message again if its checksum is wrong, sealed or not."""
         for message in (data, data[:-SIZE]):
             try:
                 opened(message, kind)

@@ -170,7 +170,7 @@ async def send_unframed(send: Any, message: Any) -> None:
 
 
 def names_this_host(header: str, host: str) -> bool:
-    """Tell whether the Host header is an address, ``localhost`` or the name of the server.
+    """Return whether the Host header is an address, ``localhost`` or the name of the server.
 
     An attacker may point another name to this computer; then his page would be of the same origin.
     """
@@ -199,13 +199,13 @@ class Access:
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def enter(self, tab: str, trusted: bool) -> None:
-        """Let a page in; one that knows the token takes charge if no other page is."""
+        """Admit a page; with the token it takes charge unless another page has it."""
         self._pages[tab] += 1
         if trusted and not self._holder:
             self._holder = tab
 
     def leave(self, tab: str) -> None:
-        """Let a page go; a tab that is refreshed has its new page before the old one goes."""
+        """Remove a page; a refreshed tab opens its new page before the old one closes."""
         self._pages[tab] -= 1
         if self._pages[tab] <= 0:
             del self._pages[tab]

@@ -184,7 +184,7 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
 
 
 class FaultsOnce:
-    """Tells a fault of the server once for each place in the code: nonsense fills no disk."""
+    """Logs a fault of the server once for each place in the code, so that no disk fills up."""
 
     def __init__(self) -> None:
         self._told: set[str] = set()

@@ -51,7 +51,7 @@ class Started:
 
 
 def load_nodes() -> ForkServerContext:
-    """Let the fork server load what the nodes need, which takes seconds; returns at once."""
+    """Load what the nodes need in the fork server, in the background."""
     return begin_loading(PRELOADED)
 
 

@@ -33,7 +33,7 @@ def remove_dead_folders() -> None:
 
 
 def is_unlocked(path: Path) -> bool:
-    """Tell whether no process holds a lock on a file or folder of which it lives."""
+    """Return whether no process holds a lock on a file or folder of which it lives."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -22,7 +22,7 @@ def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def stay_on_this_host() -> None:
-    """Let no other computer reach this process, unless the user's environment says otherwise."""
+    """Restrict ROS to this computer, unless the environment of the user says otherwise."""
     os.environ.update(variables_of_this_host(os.environ))
 
 

@@ -126,7 +126,7 @@ def links_of(machine: Machine) -> Links:
 
 
 def _tree_is_sound(placed: Placed) -> bool:
-    """Tell whether every piece with parts is a box along the axes that contains them."""
+    """Return whether every piece with parts is a box along the axes that contains them."""
     pieces = placed.pieces
     reach = pieces.disc[:, 3:] * np.sqrt(
         np.maximum(1.0 - np.repeat(pieces.along, np.diff(pieces.first), axis=0) ** 2, 0.0)
@@ -206,7 +206,7 @@ def _hits(motion: Motion, found: Mapping[str, Any]) -> dict[tuple[int, int], Spa
 
 
 def stock_is_cut(placed: Placed, a: int, b: int) -> bool:
-    """Tell whether one of two bodies is a stock that is cut along the path."""
+    """Return whether one of two bodies is a stock that is cut along the path."""
     roles = {placed.scene.bodies[k].role for k in (a, b)}
     return Role.STOCK in roles and bool(placed.scene.tools)
 
@@ -336,7 +336,7 @@ def _left(needed: Spans, given: Spans) -> Spans:
 
 
 def _inside(motion: Motion, a: int, b: int, s: float) -> bool:
-    """Tell whether one body lies inside the mesh of the other at a place of the path."""
+    """Return whether one body lies inside the mesh of the other at a place of the path."""
     placed, bodies = motion.placed, motion.placed.scene.bodies
     for one, other in ((a, b), (b, a)):
         mesh = bodies[one].triangles

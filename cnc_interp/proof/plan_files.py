@@ -237,7 +237,7 @@ class PlanFiles:
 
     @property
     def starts_inside(self) -> bool:
-        """Tell whether the run started inside the program; row 0 is the end of the row before."""
+        """Return if the run started inside the program; row 0 is the end of the row before."""
         return bool(self.summary.get('start'))
 
     @property

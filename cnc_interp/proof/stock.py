@@ -118,7 +118,7 @@ def _points(
 
 
 def _uncut(body: Body, points: FloatArray) -> BoolArray:
-    """Tell which points, (n, 3), are inside the uncut stock."""
+    """Return which points, (n, 3), are inside the uncut stock."""
     if body.triangles is None:
         return np.any([_in_piece(*piece, points) for piece in body.pieces], axis=0)
     found = np.zeros(len(points), dtype=np.bool_)

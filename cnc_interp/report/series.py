@@ -166,7 +166,7 @@ NO_LIMIT = 'between limits'
 
 
 def at_limits(use: FloatArray, axis_names: tuple[str, ...]) -> dict[str, BoolArray]:
-    """Tell when each axis is at each of its limits; ``use`` (3, K, n_axes) of ``axis_use``."""
+    """Return when each axis is at each of its limits; ``use`` (3, K, n_axes) of ``axis_use``."""
     return {
         f'{axis} {kind}': np.abs(use[k, :, j]) > AT_LIMIT
         for k, kind in enumerate(KINDS)

@@ -225,7 +225,7 @@ class ParallelPlanner:
         return pieces
 
     def _on_the_clock(self, pieces: list[PlannedPiece]) -> list[PlannedPiece]:
-        """Let motion begin at the end of the motion before; adds as ``Stretch.law`` does."""
+        """Start the motion at the end of the one before; adds as ``Stretch.law`` does."""
         placed = []
         for piece in pieces:
             law = piece.law

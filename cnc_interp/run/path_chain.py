@@ -103,7 +103,7 @@ def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
 def is_faster(
     transform: Transform, settings: Settings, ways: Sequence[Way], others: Sequence[Way]
 ) -> bool:
-    """Tell whether the fastest of some ways saves time over the fastest of the others."""
+    """Return whether the fastest of some ways saves time over the fastest of the others."""
     first, second = (
         min((way_time(transform, settings, way) for way in some), default=np.inf)
         for some in (ways, others)

@@ -152,13 +152,13 @@ class LossRecovery:
 
     @property
     def _starts_by_itself(self) -> bool:
-        """Tell whether the machine moves as soon as it has setpoints; nobody has stopped it."""
+        """Return whether the machine moves as soon as it has setpoints; nobody has stopped it."""
         report = self._report
         return report is not None and report.state in SELF_STARTING - {State.STARVED}
 
     @property
     def is_due(self) -> bool:
-        """Tell whether the program must be sent again now."""
+        """Return whether the program must be sent again now."""
         report = self._report
         fills = report is not None and report.state is State.STARVED and not report.plan_over
         least = FILLED if fills or self._starts_by_itself else SETTLED

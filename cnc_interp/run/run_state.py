@@ -23,11 +23,11 @@ class RunId:
         return f'{self.program_id}{attempt}{plan}'
 
     def same_attempt(self, other: RunId) -> bool:
-        """Tell whether both belong to one attempt of one run; their plans may differ."""
+        """Return whether both belong to one attempt of one run; their plans may differ."""
         return (self.program_id, self.attempt) == (other.program_id, other.attempt)
 
     def continues(self, other: RunId) -> bool:
-        """Tell whether this is a later attempt at the other's run, or a later plan of it."""
+        """Return whether this is a later attempt at the other's run, or a later plan of it."""
         later = (self.attempt, self.plan) > (other.attempt, other.plan)
         return self.program_id == other.program_id and later
 
@@ -215,7 +215,7 @@ class RunState:
 
     @property
     def may_start(self) -> bool:
-        """Tell whether the machine moves as soon as enough setpoints are buffered."""
+        """Return whether the machine moves as soon as enough setpoints are buffered."""
         return self.state in SELF_STARTING or (self.state is State.HELD and self.start_wanted)
 
     @property

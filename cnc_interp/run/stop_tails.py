@@ -82,7 +82,7 @@ class FunctionQueue:
         return np.asarray(share * np.where(value(PER_TURN) == 0.0, 1.0, turns))
 
     def told(self, done: int) -> None:
-        """Hear how many the machine has done: of those that were sent, whatever is told."""
+        """Note how many functions the machine has executed, at most those that were sent."""
         self.done = min(done, max(self._sent, self.done))
 
     def push(self, functions: Functions) -> None:
@@ -178,7 +178,7 @@ def way_down(
 
 
 def between(piece: PlannedPiece, begin: float, end: float) -> list[PlannedPiece]:
-    """Cut law and path at two times [s]; nothing where no way is left: in the last instant."""
+    """Cut law and path at two times [s]; empty in the last instant, where no path is left."""
     law = piece.law
     if end <= begin:
         return []

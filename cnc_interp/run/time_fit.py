@@ -138,7 +138,7 @@ class TimedProgram:
         return [slice(max(0, a - 1), a + CHUNK) for a in range(0, rows, EVERY)]
 
     def covers(self, lines: IntArray) -> BoolArray:
-        """Tell which windows of lines, (w, 2), that sample holds, away from its ends."""
+        """Return which windows of lines, (w, 2), that sample holds, away from its ends."""
         covered = np.zeros(len(lines), dtype=np.bool_)
         for rows in self.sample():
             part = self.lines[rows]

@@ -205,7 +205,7 @@ class Settings:
 
     @property
     def compares_corners(self) -> bool:
-        """Tell whether corners are made in a way that exists for comparison only."""
+        """Return whether corners are made in a way that exists for comparison only."""
         exact = self.parametrization in ('auto', 'exact')
         return (self.corner, exact, self.top, self.septic) != ('default', True, 'in_step', False)
 

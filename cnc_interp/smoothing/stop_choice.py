@@ -56,7 +56,7 @@ Choice = Callable[[Sequence[Way], Sequence[Way]], bool]
 
 
 def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
-    """Tell at which vertices a rounded corner may be slower than a stop."""
+    """Return at which vertices a rounded corner may be slower than a stop."""
     found = np.zeros(len(rows), dtype=np.bool_)
     found[1:-1] = np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
     found[1:-1] |= turns_fast(rows.blocks, legs, height, machine)
@@ -69,7 +69,7 @@ def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> B
 
 
 def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
-    """Tell at which inner vertices the outer rotary axis may turn fast on one side."""
+    """Return at which inner vertices the outer rotary axis may turn fast on one side."""
     turn = np.maximum(legs.turn[:-1], legs.turn[1:])
     rate = norm(legs.rate)
     rate = np.maximum(rate[:-1], rate[1:])

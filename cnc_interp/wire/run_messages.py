@@ -58,7 +58,7 @@ def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feed
 
 
 def in_program(state: msg.MachineState | None) -> bool:
-    """Tell whether a program or a line is executed, or held, even where axes were moved away."""
+    """Return whether a program or a line is executed, or held, even where axes were moved away."""
     if state is None:
         return False
     away = len(state.resume_positions) > 0

@@ -31,7 +31,7 @@ SILENT = 1.0  #: A sender that was not heard for so long may be followed by anot
 
 
 def key_file() -> Path:
-    """Return the file of the key: it lives until the computer starts again."""
+    """Return the file of the key, which exists until the computer restarts."""
     named = os.environ.get(KEY_FILE)
     return Path(named) if named else Path(f'/dev/shm/cnc_interp_{os.getuid()}.key')
 

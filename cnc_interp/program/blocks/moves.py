@@ -84,7 +84,7 @@ class Moves:
 
     @property
     def preceding(self) -> Preceding:
-        """Return what counts of these motions for those after them."""
+        """Return the state that these motions leave for those after them."""
         return Preceding(self.dense, self.led, self.since_arc)
 
     def __getitem__(self, part: slice) -> Moves:

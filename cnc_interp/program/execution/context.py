@@ -133,7 +133,7 @@ class Execution:
         return self.mover.by_surface_speed and 'G96' in self.signals.words
 
     def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
-        """Go on after a probe, as ``ProgramStream.go_on``."""
+        """Continue after a probe, like ``ProgramStream.go_on``."""
         self.probe = None
         self._begin_at(stands if at is None else at)
         self.mover.probed = probing.answer(self.mover, at is not None)

@@ -79,7 +79,7 @@ class Element:
         return self.radius * abs(self.sweep) if self.is_arc else abs(self.end - self.start)
 
     def is_near(self, other: Element, distance: float) -> bool:
-        """Tell, by circles around both, whether two elements may be so near to each other."""
+        """Return whether two elements may be so near to each other, by circles around both."""
         middles, reach = [], distance
         for one in (self, other):
             middles.append(one.centre if one.is_arc else 0.5 * (one.start + one.end))

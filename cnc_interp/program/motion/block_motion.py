@@ -78,7 +78,7 @@ class Mover(ArcTargets):
             self.switch_tcp(by_machine)
 
     def _begins_here(self, words: BlockWords) -> bool:
-        """Tell whether a first block with a feed leads from where the tool stands."""
+        """Return whether a first block with a feed leads from where the tool stands."""
         usual = 'IC' if self.incremental else ''
         letters = words.values.keys() & {'X', 'Y', 'Z', *self.rotary_letters}
         counts = any(words.ways.get(letter, usual) == 'IC' for letter in letters)
@@ -149,7 +149,7 @@ class Mover(ArcTargets):
             self.targets.begin_radius(distance, frame, self.dialect.own_entry, told)
 
     def _tell_gouge(self, gouge: ProgramError) -> None:
-        """Tell a cut into the contour at a distance at which LinuxCNC does not look for one."""
+        """Report a cut into the contour at a distance that LinuxCNC does not check."""
         text = f'{gouge.message}; LinuxCNC does not look so far ahead'
         self.notices.once('gouge', gouge.line_number, f'WARNING: {text}')
 
@@ -224,7 +224,7 @@ class Mover(ArcTargets):
         self.act(FREE, {})
 
     def _turn_length(self) -> None:
-        """Let the tool length turn with the tool; the programmed tip stays where it is."""
+        """Turn the tool length with the tool; the programmed tip keeps its place."""
         frames = self.frames
         if self.tcp and frames.length and np.abs(self.tool_axis - frames.along).max() > SAME_AXIS:
             if self.held is not None or self.corner.size:

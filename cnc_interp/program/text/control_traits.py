@@ -128,7 +128,7 @@ def _told_form(source: Source) -> str:
 
 
 def is_program(source: Source) -> bool:
-    """Tell whether a line begins as one of a program does, or has words of one control only."""
+    """Return whether a line begins as one of a program does, or has words of one control only."""
     text = _head(source)
     return bool(_told_form(source)) or any(sign.search(text) for _, sign in _SIGNS)
 

@@ -189,7 +189,7 @@ def find_corners(
     first: int,
     last: int,
 ) -> BoolArray:
-    """Tell which vertices turn more than ``least`` [rad], and more than all near them."""
+    """Return which vertices turn more than ``least`` [rad], and more than all near them."""
     found = np.zeros(last - first, dtype=np.bool_)
     n = len(u)
     for j in range(first, last):

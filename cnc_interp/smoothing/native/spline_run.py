@@ -180,7 +180,7 @@ class SplineRun:
         self._held = piece, taken
 
     def _opening(self, piece: Piece, before: Jets | None) -> tuple[bool, Jets | None]:
-        """Tell whether the path continues into a piece, and return the jets that it takes."""
+        """Return whether the path continues into a piece, and return the jets that it takes."""
         if before is None:
             return False, None
         start = piece.jets(at_end=False)

@@ -5,7 +5,7 @@ import gc
 from cnc_interp.batch import sweep as sweep
 from cnc_interp.batch.task import Model, Verdict
 from cnc_interp.batch.task_work import carry_out, tiny_task
-from cnc_interp.feedrate import toppra_stage as toppra_stage
+from cnc_interp.feedrate import backward_pass as backward_pass
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.settings.options import DEFAULT_MACHINE
 

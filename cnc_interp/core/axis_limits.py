@@ -1,7 +1,7 @@
 """The limits of the axes: one object for each axis, from the machine file to every room.
 
 Rooms ask ``Limits`` for a quantity by its name. Kernels get ``Limits.table``, which is packed here
-alone; ``limits_by_position.py`` describes and reads it. A limit of another kind, such as one that
+alone; ``limit_table.py`` describes and reads it. A limit of another kind, such as one that
 depends on another axis, is a field of ``AxisLimits``, rows of the table, and ``limit_at``.
 """
 
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray
-from cnc_interp.core.limits_by_position import DRIVE, FAR, PLACE, limits_along
+from cnc_interp.core.limit_table import DRIVE, FAR, PLACE, limits_along
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Limits:
 
     @cached_property
     def table(self) -> FloatArray:
-        """All limits as kernels read them, (7, n_axes, m); see ``limits_by_position.py``."""
+        """All limits as kernels read them, (7, n_axes, m); see ``limit_table.py``."""
         m = max((len(of.position) for _, of in self.placed), default=1)
         table = np.zeros((7, len(self.axes), m))
         table[:PLACE], table[PLACE], table[DRIVE] = self.by_order[..., None], inf, inf

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core import limits_by_position as by_place
+from cnc_interp.core import limit_table as by_place
 from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
@@ -226,7 +226,7 @@ def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatA
     solver = None
     while (last := _last_conflict(start, end, found, room, last)) >= 0:
         if solver is None:
-            from cnc_interp.feedrate.toppra_stage import BackwardPass
+            from cnc_interp.feedrate.backward_pass import BackwardPass
 
             solver = BackwardPass(start, end, cap)
         found[last] = solver.largest(last, float(found[last + 1]))

@@ -53,7 +53,7 @@ class PlanningThread:
         """Import toppra in a thread once the machine moves; it takes a third of a second."""
         if not self._loads_rest:
             self._loads_rest = True
-            rest = 'cnc_interp.feedrate.toppra_stage'
+            rest = 'cnc_interp.feedrate.backward_pass'
             Thread(target=import_module, args=[rest], daemon=True).start()
 
     def submit(self, task: PlanningTask) -> None:

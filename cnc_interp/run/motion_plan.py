@@ -15,10 +15,16 @@ from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine, limits_of
+from cnc_interp.run.chunk_cutter import (
+    NO_SIGNALS,
+    ChunkCutter,
+    FunctionQueue,
+    StopSearch,
+    way_down,
+)
 from cnc_interp.run.course import Course, Leg, feed_under, finely, slowed
 from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
-from cnc_interp.run.stop_tails import NO_SIGNALS, ChunkCutter, FunctionQueue, StopSearch, way_down
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit

@@ -53,7 +53,7 @@ except ValueError as error:
 now = what_numba_is()
 print([name for name, value in numba_before.items() if now.get(name) is not value])
 print(dict(os.environ) == variables, 'matplotlib' in sys.modules)
-import cnc_interp.feedrate.toppra_stage
+import cnc_interp.feedrate.backward_pass
 import toppra
 from toppra.constraint import JointVelocityConstraint
 path = toppra.SplineInterpolator([0, 1, 2], [[0.0], [1.0], [3.0]])

@@ -24,12 +24,12 @@ from cnc_interp.nodes.planning_session import (
     PlanningTask,
     Received,
 )
+from cnc_interp.run.chunk_cutter import FunctionQueue
 from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import NO_RUN, RunId, State
 from cnc_interp.run.setpoints import Wait
-from cnc_interp.run.stop_tails import FunctionQueue
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')

@@ -12,10 +12,10 @@ from feedrate_paths import XYZAC, line_path, polyline_path, random_polyline
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, vstack
 
+from cnc_interp.feedrate.backward_pass import BackwardPass
 from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import FeedPlanner, plan_path
 from cnc_interp.feedrate.time_bound import time_bound
-from cnc_interp.feedrate.toppra_stage import BackwardPass
 from cnc_interp.kinematics.axis_path import cut, evaluate_cells, refine
 
 TABLE = XYZAC.table

@@ -83,7 +83,8 @@ class ModalValues:
 
 
 MODES: dict[str, Mode] = {each.name: each.metadata['mode'] for each in fields(ModalValues)}
-#: Words that only set a value. Two words for the same value in one block are rejected.
+#: G words that only set a value; any other word needs a handler. Two for the same value in one
+#: block are rejected.
 SETTINGS: dict[str, tuple[str, Any]] = {
     code: (name, value)
     for name, mode in MODES.items()

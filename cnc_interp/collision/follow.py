@@ -43,7 +43,7 @@ from cnc_interp.collision.scene import Placed, Role
 from cnc_interp.collision.stock import Field, field_of, roomier, volume
 from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.kernels import njit
-from cnc_interp.machine_model.links import TOOL_TIP
+from cnc_interp.machine_model.joint import TOOL_TIP
 
 #: What pieces of motion may leave of the true one, as a share of the width of a cell [-].
 LOST = 0.25

@@ -14,7 +14,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
-from cnc_interp.machine_model.links import BASE, joints_of
+from cnc_interp.machine_model.links import joints_of
 from cnc_interp.machine_model.machine import Machine
 
 
@@ -26,12 +26,14 @@ class Chain(NamedTuple):
     linear: IntArray  #: (n,): 1 where that axis is linear.
     origin: FloatArray  #: (n, 3): Origin of the link in the frame of its parent [m].
     along: FloatArray  #: (n, 3): Direction of the axis [-].
+    turn: FloatArray  #: (n, 3, 3): How the link is turned in its parent, with the axis at zero.
+    turned: IntArray  #: (n,): 1 where it is.
 
 
 def chain_of(machine: Machine) -> tuple[Chain, tuple[str, ...]]:
     """Return the chain of a machine and the names of its links."""
     joints = joints_of(machine)
-    names = (BASE, *(joint.child for joint in joints))
+    names = (joints[0].parent, *(joint.child for joint in joints))
     numbers = {name: k for k, name in enumerate(names)}
     chain = Chain(
         np.array([-1, *(numbers[joint.parent] for joint in joints)]),
@@ -39,6 +41,8 @@ def chain_of(machine: Machine) -> tuple[Chain, tuple[str, ...]]:
         np.array([0, *(int(joint.kind == 'prismatic') for joint in joints)]),
         np.array([(0.0, 0.0, 0.0), *(joint.origin for joint in joints)]),
         np.array([(0.0, 0.0, 1.0), *(joint.along for joint in joints)]),
+        np.array([np.eye(3), *(joint.turn for joint in joints)]),
+        np.array([0, *(int(any(joint.rpy)) for joint in joints)]),
     )
     return chain, names
 
@@ -72,6 +76,20 @@ def step_table(chain: Chain) -> tuple[IntArray, FloatArray, IntArray]:
 
 
 @njit(cache=True, nogil=True)
+def placed_turn(pose: FloatArray, turn: FloatArray) -> FloatArray:
+    """Return the rotation of a link (9,) whose parent has a pose (12,), with its axis at zero."""
+    found = np.empty(9)
+    for i in range(3):
+        for j in range(3):
+            found[3 * i + j] = (
+                pose[3 * i] * turn[0, j]
+                + pose[3 * i + 1] * turn[1, j]
+                + pose[3 * i + 2] * turn[2, j]
+            )
+    return found
+
+
+@njit(cache=True, nogil=True)
 def pose_links(chain: Chain, q: FloatArray, pose: FloatArray) -> None:
     """Write rotation and origin in M of every link at axis positions q, (n, 12) [-, m].
 
@@ -88,6 +106,8 @@ def pose_links(chain: Chain, q: FloatArray, pose: FloatArray) -> None:
             x, y, z = x + value * u[0], y + value * u[1], z + value * u[2]
         for i in range(3):
             pose[k, 9 + i] = p[9 + i] + p[3 * i] * x + p[3 * i + 1] * y + p[3 * i + 2] * z
+        if chain.turned[k]:
+            p = placed_turn(p, chain.turn[k])
         if chain.axis[k] < 0 or chain.linear[k] == 1:
             pose[k, :9] = p[:9]
             continue

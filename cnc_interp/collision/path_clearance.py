@@ -26,7 +26,7 @@ from cnc_interp.collision.scene import Placed, Scene
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
 from cnc_interp.core.tables import Table, column
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.machine_model.links import TOOL_TIP
+from cnc_interp.machine_model.joint import TOOL_TIP
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import TOOL
 from cnc_interp.program.blocks.functions import Functions

@@ -17,7 +17,7 @@ from cnc_interp.collision.scene import Body, Role, Scene
 from cnc_interp.collision.shapes import Piece
 from cnc_interp.core import MM, FloatArray
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml
-from cnc_interp.machine_model.links import TOOL_TIP
+from cnc_interp.machine_model.joint import TOOL_TIP
 from cnc_interp.program.job import JobSetup, Tool
 
 UNITS = {'mm': MM, 'm': 1.0, 'inch': 25.4 * MM}

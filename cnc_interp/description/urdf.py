@@ -11,17 +11,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.core import FloatArray
-from cnc_interp.machine_model.links import (
-    BASE,
+from cnc_interp.machine_model.joint import (
     TOOL_TIP,
     UP,
     WORKPIECE,
     ZERO,
     Joint,
     Vector,
-    joints_of,
     vector,
 )
+from cnc_interp.machine_model.links import BASE, joints_of
 from cnc_interp.machine_model.machine import Machine
 
 if TYPE_CHECKING:
@@ -38,6 +37,7 @@ FIXTURE: Colour = (0.66, 0.50, 0.30, 1.0)
 HIT: Colour = (0.92, 0.18, 0.20, 1.0)  #: Two bodies that hit each other.
 #: Height of the bridge above the tool tip, and its half width, for travels of half a metre [m].
 BRIDGE, HALF_WIDTH = 0.78, 0.68
+LIMB = 0.025  #: Radius of a limb over the length of the whole arm [-].
 
 
 @dataclass(frozen=True)
@@ -151,21 +151,25 @@ class Description:
         while link in joint_of:
             joint = joint_of[link]
             along, value = np.array(joint.along), positions.get(joint.name, 0.0)
-            shift = np.array(joint.origin)
-            turn = np.eye(3)
+            shift, turn = np.array(joint.origin), joint.turn
             if joint.kind == 'prismatic':
                 shift = shift + along * value
             elif joint.kind != 'fixed':
-                turn = Rotation.from_rotvec(along * value).as_matrix()
+                turn = turn @ Rotation.from_rotvec(along * value).as_matrix()
             rotation, place = turn @ rotation, shift + turn @ place
             link = joint.parent
         return rotation, place
 
 
 def describe_machine(machine: Machine, bodies: Sequence[DrawnBody] = ()) -> Description:
-    joints = joints_of(machine)
-    links: dict[str, tuple[Shape, ...]] = {BASE: frame_shapes(machine)}
-    links |= {joint.child: shapes_of(machine, joint) for joint in joints}
+    joints, links = joints_of(machine), dict[str, tuple[Shape, ...]]()
+    if machine.arm is None:
+        links[BASE] = frame_shapes(machine)
+        links |= {joint.child: shapes_of(machine, joint) for joint in joints}
+    else:
+        links[joints[0].parent] = ()
+        links |= {joint.child: () for joint in joints}
+        links |= arm_shapes(joints) | {TOOL_TIP: TOOL, WORKPIECE: (stock_shape(machine),)}
     if bodies:
         links = dict.fromkeys(links, ())
     return Description(machine.name, links, joints, tuple(bodies))
@@ -196,6 +200,23 @@ def shapes_of(machine: Machine, joint: Joint) -> tuple[Shape, ...]:
     return (cradle_shapes if tilts_another else disc_shapes)(machine)
 
 
+def arm_shapes(joints: Sequence[Joint]) -> dict[str, tuple[Shape, ...]]:
+    """Return limbs for an arm whose URDF has no shapes: from each joint to the next."""
+    size, found = sum(float(np.linalg.norm(joint.origin)) for joint in joints), {}
+    for link in {joint.parent for joint in joints}:
+        shapes = list[Shape]()
+        for joint in joints:
+            length = float(np.linalg.norm(joint.origin))
+            thick = LIMB * size
+            if joint.child == link and joint.axis >= 0:
+                shapes.append(Shape((1.2 * thick, 2.0 * thick), ZERO, TURNING, joint.along))
+            if joint.parent == link and length > 0.0 and joint.child != WORKPIECE:
+                along, middle = vector(np.array(joint.origin) / length), np.array(joint.origin) / 2
+                shapes.append(Shape((thick, length), vector(middle), SLIDE, along))
+        found[link] = tuple(shapes)
+    return found
+
+
 HEADER = '<?xml version="1.0"?>\n'
 UNKNOWN_EFFORT = 0.0  #: Largest force of a joint: needed by URDF, unknown [N, N m].
 
@@ -206,9 +227,20 @@ def urdf_of(
     meshes: Sequence[str] = (),
     frames_only: bool = False,
 ) -> str:
-    """Return a machine as URDF, with simple shapes or bodies of a scene and their STL files."""
+    """Return a machine as URDF, with simple shapes or bodies of a scene and their STL files.
+
+    An arm whose own URDF has shapes keeps it, and gets the frames of the tool tip and the part.
+    """
     description = describe_machine(machine, bodies)
     robot = ElementTree.Element('robot', name=description.name)
+    if machine.arm is not None and not bodies and not frames_only:
+        own = ElementTree.fromstring(machine.arm.urdf.read_text())
+        if own.find('.//visual') is not None:
+            for joint in description.joints:
+                if joint.child in (TOOL_TIP, WORKPIECE):
+                    ElementTree.SubElement(own, 'link', name=joint.child)
+                    add_joint(own, joint)
+            return HEADER + ElementTree.tostring(own, encoding='unicode') + '\n'
     for name, shapes in description.links.items():
         link = ElementTree.SubElement(robot, 'link', name=name)
         for shape in () if frames_only else shapes:
@@ -251,7 +283,7 @@ def add_joint(robot: ElementTree.Element, joint: Joint) -> None:
     element = ElementTree.SubElement(robot, 'joint', name=joint.name, type=joint.kind)
     ElementTree.SubElement(element, 'parent', link=joint.parent)
     ElementTree.SubElement(element, 'child', link=joint.child)
-    ElementTree.SubElement(element, 'origin', xyz=words(joint.origin), rpy='0 0 0')
+    ElementTree.SubElement(element, 'origin', xyz=words(joint.origin), rpy=words(joint.rpy))
     if joint.kind == 'fixed':
         return
     ElementTree.SubElement(element, 'axis', xyz=words(joint.along))

@@ -25,6 +25,7 @@ from cnc_interp.smoothing.segments import PathSegments
 if TYPE_CHECKING:
     from cnc_interp.kinematics.joint_passage import JointPassages
 
+SAME_POSE = 1e-9  #: A tool that differs less from a pose is in it [m, -].
 SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less are no turn to follow [m],
 ROUNDING = 1e-14  #: and those that differ less than this share of their coordinates none at all.
 KINK_JERK = 0.02  #: Share of a jerk limit above which a kink, in one period, becomes a stop.
@@ -63,6 +64,7 @@ class AxisPathBuilder:
     """Turn segments into machine axes, batch by batch; within the period a kink shows as jerk.
 
     ``spins`` (n, 10): for an arm, what turns its tool on each segment that comes (``SPIN``).
+    ``stands`` (n_axes,): an arm whose tool is in the first pose already begins as it stands.
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class AxisPathBuilder:
         flank_height: float,
         period: float,
         spins: FloatArray | None = None,
+        stands: FloatArray | None = None,
     ):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
@@ -78,11 +81,9 @@ class AxisPathBuilder:
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
         self.passages: PolePassages | None = None
         self._joints: JointPassages | None = None
+        self._spins, self._from = spins, stands
         if isinstance(transform, JointChain):
-            from cnc_interp.kinematics.joint_passage import JointPassages
-
             self._axes = np.arange(len(self.machine.axis_names))
-            self._joints = JointPassages(transform, flank_height, spins)
         else:
             extra = 5 + np.arange(len(self.machine.extra_names))
             self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
@@ -107,9 +108,15 @@ class AxisPathBuilder:
         """Choose branch and whole turns at the first pose, if its words do not name them."""
         self._begun, line = True, int(segments.line_number[0])
         if isinstance(self.transform, JointChain):
+            from cnc_interp.kinematics.joint_passage import JointPassages
+
             pose = segments.bottom[0, 0], segments.axis[0]
+            if self._from is not None:
+                here = np.concatenate(self.transform.forward(self._from[None]), axis=1)
+                if np.abs(here - np.concatenate(pose)).max() < SAME_POSE:
+                    self.transform = self.transform.standing(self._from)
             self._stands[:], self._branch = self.transform.start(*pose, line)
-            assert self._joints is not None
+            self._joints = JointPassages(self.transform, self.flank_height, self._spins)
             self._joints.begin(self._stands, self._branch)
             return
         rotary, five_axis = segments.rotary[0, 0], self.transform.five_axis

@@ -64,7 +64,9 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
 
 
 def _start(machine: Machine, height: float) -> FloatArray:
-    """Return where simulated axes stand at first: at 0, or the tip over the part."""
+    """Return where simulated axes stand: at 0, the tip over the part, or an arm at home."""
+    if machine.arm is not None:
+        return machine.arm.home.copy()
     position = np.zeros(len(machine.axis_names))
     if height > 0.0:
         from cnc_interp.machine_model.transform_port import Transform
@@ -133,7 +135,9 @@ KINDS = {
                 '/joint_state_broadcaster/joint_states',
                 'Topic on which ros2_control reports the joints',
             ),
-            Declared('controller_joints', [''], 'Joint of each axis; if empty named as the axes'),
+            Declared(
+                'controller_joints', [''], 'Joint of each axis; if empty named as in the URDF'
+            ),
             Declared(
                 'controller_delay',
                 0.2,
@@ -181,4 +185,4 @@ def joints_of(names: list[str], machine: Machine) -> list[str]:
     if given and (len(set(given)) != len(given) or len(given) != len(machine.axis_names)):
         axes = ' '.join(machine.axis_names)
         raise InterpError(f'controller_joints: one joint for each of {axes} is needed')
-    return given or list(machine.axis_names)
+    return given or list(machine.joint_names)

@@ -8,8 +8,10 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.axis_motion import refuse_setpoints
-from cnc_interp.machine.jog_motion import LEAST_SHARE, THERE, JogMotion, Slides
+from cnc_interp.machine.jog_motion import LEAST_SHARE, JogMotion
 from cnc_interp.machine.playback import Playback
+from cnc_interp.machine.slides import THERE, Slides
+from cnc_interp.machine.tool_slide import along_tool
 from cnc_interp.run.clearance_stage import Foresight
 from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Chunk
@@ -140,7 +142,7 @@ class Jog:
         motion = self._motion
         if motion is None:
             stands = self._before[-1]
-            return Slides.along_tool(self._machine, stands) if tool else self._axes
+            return along_tool(self._machine, stands) if tool else self._axes
         return motion.slides if tool is (motion.slides is not self._axes) else None
 
     def _refuse_beyond(self, place: FloatArray) -> None:

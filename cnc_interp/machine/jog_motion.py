@@ -11,60 +11,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
 
 import numpy as np
 import ruckig
 
 from cnc_interp.core import FloatArray, StreamError
-from cnc_interp.core.axis_limits import Limits
-from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
-from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_port import Transform, tool_line
+from cnc_interp.machine.slides import THERE, Slides
 from cnc_interp.run.clearance_stage import ContactError, Foresight
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 LEAST_SHARE = 1e-3  #: A smaller share of a velocity limit is no motion, to bound its time.
 HORIZON = 10.0  #: A motion with a velocity is planned for this time, again after half [s].
-THERE = TRAVEL_SLACK  #: Nearer than this to its target, an axis is there [m, rad].
+#: ruckig finds no motion where two of its profiles meet within rounding, as at a distance of
+#: 2 A^3 / J^2, where the acceleration just reaches its limit. A lower jerk moves that seam.
+SEAMS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
 
 VELOCITY, POSITION = ruckig.ControlInterface.Velocity, ruckig.ControlInterface.Position
 EACH_ALONE, TOGETHER = ruckig.Synchronization.No, ruckig.Synchronization.Time
-
-
-@dataclass(frozen=True, eq=False)
-class Slides:
-    """What moves by hand: m straight lines in the n axes, ``q = origin + x @ direction``."""
-
-    origin: FloatArray  #: (n,): Axis positions at x = 0 [m, rad].
-    direction: FloatArray  #: (m, n): Motion of the axes per unit of each coordinate x.
-    limits: Limits  #: Of the m coordinates, constant ones.
-
-    def positions(self, x: FloatArray) -> FloatArray:
-        return self.origin + x @ self.direction
-
-    def coordinates(self, q: FloatArray) -> FloatArray:
-        weights = self.direction / (self.direction**2).sum(axis=1, keepdims=True)
-        return weights @ (q - self.origin)
-
-    @staticmethod
-    def of_axes(machine: Machine) -> Slides:
-        """Return the axes of the machine, each its own slide; x is q."""
-        n = len(machine.axis_names)
-        return Slides(np.zeros(n), np.eye(n), machine.limits.lowest)
-
-    @staticmethod
-    def along_tool(machine: Machine, stands: FloatArray) -> Slides:
-        """Return one slide: X Y Z move the tip along the tool axis; x = 0 at the present place."""
-        line = tool_line(Transform.of(machine), stands)
-        moves = line.direction != 0.0
-        part = np.abs(line.direction[moves])
-        rows = (machine.limits.lowest.by_order[:, moves] / part).min(axis=1, keepdims=True)
-        return Slides(
-            origin=np.array(stands, dtype=float),
-            direction=line.direction[None, :],
-            limits=Limits.constant(*rows).having(travel=line.travel[None]),
-        )
 
 
 class JogMotion:
@@ -160,15 +124,16 @@ class JogMotion:
         wanted.target_position = np.where(aims, target, state[0]).tolist()
         wanted.target_velocity = np.where(aims, 0.0, velocity).tolist()
         wanted.max_velocity = np.where(aims, np.abs(velocity), largest).tolist()
-        wanted.max_acceleration, wanted.max_jerk = acceleration.tolist(), jerk.tolist()
+        wanted.max_acceleration = acceleration.tolist()
         wanted.per_dof_control_interface = [POSITION if aim else VELOCITY for aim in aims]
         wanted.synchronization = together
         found = ruckig.Trajectory(len(target))
-        try:
-            self._solver.calculate(wanted, found)
-        except ruckig.RuckigError as problem:
-            raise StreamError(f'no motion was found ({problem}); go nearer or faster') from None
-        return found
+        for share in SEAMS:
+            wanted.max_jerk = (share * jerk).tolist()
+            with suppress(ruckig.RuckigError):
+                self._solver.calculate(wanted, found)
+                return found
+        raise StreamError('no motion was found; go nearer or faster')
 
     def _stop(self, state: FloatArray) -> ruckig.Trajectory:
         still = np.zeros(state.shape[1])
@@ -212,14 +177,15 @@ class JogMotion:
 
     def _setpoints(self, rows: FloatArray, before: FloatArray, number: int) -> Setpoints:
         """Return states as setpoints of the axes; ``before`` is the acceleration before them."""
-        count, direction = len(rows), self.slides.direction
+        count = len(rows)
         jerk = np.diff(np.concatenate([before[None, :], rows[:, 2]]), axis=0) / self._period
+        position, velocity, acceleration, axis_jerk = self.slides.motion(rows, jerk)
         return Setpoints(
             time=(number + np.arange(count)) * self._period,
-            position=self.slides.positions(rows[:, 0]),
-            velocity=rows[:, 1] @ direction,
-            acceleration=rows[:, 2] @ direction,
-            jerk=jerk @ direction,
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            jerk=axis_jerk,
             block=np.zeros(count, dtype=np.int64),
             s=np.zeros(count),
         )

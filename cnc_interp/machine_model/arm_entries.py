@@ -1,8 +1,8 @@
 """Entries of a machine file that describes an arm: a chain of joints from a URDF, and limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from math import cos, inf, sin
+from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +13,7 @@ from cnc_interp.core import DEG, MM, FloatArray, MachineError
 from cnc_interp.core.axis_limits import AxisLimits
 from cnc_interp.core.small_files import UnreadableError, read_yaml, small_text
 from cnc_interp.machine_model.demands import demand
+from cnc_interp.machine_model.joint import TOOL_TIP, WORKPIECE, Joint, angles, rotation, vector
 from cnc_interp.machine_model.machine_entries import (
     PLAUSIBLE,
     number,
@@ -32,6 +33,9 @@ class Arm:
     """An arm at zero, in the workpiece frame W, with its joints from the part to the tool."""
 
     joints: tuple[str, ...]  #: Names in the URDF.
+    #: All its joints, parents before children, to ``tool_tip`` and ``workpiece`` too.
+    tree: tuple[Joint, ...]
+    urdf: Path  #: Its URDF.
     lines: FloatArray  #: (n, 6): Direction of each joint [-], and a point on it [m].
     #: (3, 3): Tip [m], side and axis of the tool [-]; the axis points away from the part.
     tool: FloatArray
@@ -46,7 +50,9 @@ def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, .
     elements = {joint.get('name', ''): joint for joint in robot.iter('joint')}
     parents = {_link(joint, 'child'): joint for joint in elements.values()}
     flange, base = _frame(content, 'flange'), _frame(content, 'base')
-    here, names, lines = np.linalg.inv(_pose(content, 'part', base, parents)), [], []
+    part = _pose(content, 'part', base, parents)
+    directions = list[FloatArray]()
+    here, names, lines = np.linalg.inv(part), [], []
     for joint in _chain(parents, base, flange):
         here, name, kind = here @ _origin(joint), joint.get('name', ''), joint.get('type')
         if kind == 'fixed':
@@ -62,19 +68,61 @@ def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, .
         length = float(np.linalg.norm(direction))
         demand(length > 0.0, f'joint {name} of the URDF has an axis of no length', 'urdf')
         names.append(name)
-        lines.append([*here[:3, :3] @ direction / length, *here[:3, 3]])
+        directions.append(direction / length)
+        lines.append([*here[:3, :3] @ directions[-1], *here[:3, 3]])
     demand(
         len(names) == 6,
         f'{len(names)} joints turn between {base} and {flange}; an arm has 6 for now',
         'urdf',
     )
-    tool = here @ _pose(content, 'tcp', flange, parents)
+    tcp = _pose(content, 'tcp', flange, parents)
+    tool = here @ tcp
     limits, guessed = _limits(content, folder, names, elements)
     home = np.array(numbers(content.get('home_deg', [0.0] * 6), 6, 'home_deg')) * DEG
     spin = numbers([content.get('spin_deg', 0.0)], 1, 'spin_deg')[0] * DEG
     # Z of the TCP points out of the tool, the tool axis of programs from the tip to the holder.
     shape = np.array([tool[:3, 3], tool[:3, 0], -tool[:3, 2]])
-    return Arm(tuple(names), np.array(lines), shape, home, spin, guessed), limits
+    axes = dict(zip(names, zip(directions, limits, strict=True), strict=True))
+    tree = _tree(list(elements.values()), base, axes)
+    frames = {WORKPIECE: (base, part), TOOL_TIP: (flange, tcp * [1.0, -1.0, -1.0, 1.0])}
+    known = {base, *(joint.child for joint in tree)}
+    for frame, (carrier, pose) in frames.items():
+        demand(frame not in known, f'has a link {frame}; rename it, this name is taken', 'urdf')
+        place, turn = vector(pose[:3, 3]), angles(pose[:3, :3])
+        tree.append(Joint(f'{carrier}_{frame}', 'fixed', carrier, frame, place, rpy=turn))
+    urdf = folder / str(content['urdf'])
+    joints = tuple(names), tuple(tree), urdf
+    return Arm(*joints, np.array(lines), shape, home, spin, guessed), limits
+
+
+def _tree(
+    joints: Sequence[ElementTree.Element],
+    base: str,
+    axes: dict[str, tuple[FloatArray, AxisLimits]],
+) -> list[Joint]:
+    """Return the joints from the base on, parents first; those without an axis stay at zero."""
+    found, reached = list[Joint](), [base]
+    numbers_ = {name: k for k, name in enumerate(axes)}
+    for link in reached:
+        for joint in (one for one in joints if _link(one, 'parent') == link):
+            name, child, origin = joint.get('name', ''), _link(joint, 'child'), _origin(joint)
+            demand(child not in reached, f'link {child} of the URDF has two parents', 'urdf')
+            reached.append(child)
+            place, turn = vector(origin[:3, 3]), angles(origin[:3, :3])
+            plain = Joint(name, 'fixed', link, child, place, rpy=turn)
+            if name in axes:
+                direction, limits = axes[name]
+                kind = 'revolute' if np.isfinite(limits.travel).all() else 'continuous'
+                plain = replace(
+                    plain,
+                    kind=kind,
+                    along=vector(direction),
+                    travel=limits.travel,
+                    max_velocity=limits.max_velocity,
+                    axis=numbers_[name],
+                )
+            found.append(plain)
+    return found
 
 
 def _robot(content: dict[str, Any], folder: Path) -> ElementTree.Element:
@@ -157,11 +205,8 @@ def _pose(
 
 def _matrix(xyz: FloatArray, rpy: FloatArray) -> FloatArray:
     """Return the pose of a frame as a matrix (4, 4): turned about fixed X, then Y, then Z."""
-    (r, p, y), found = rpy, np.eye(4)
-    about_x = np.array([[1, 0, 0], [0, cos(r), -sin(r)], [0, sin(r), cos(r)]])
-    about_y = np.array([[cos(p), 0, sin(p)], [0, 1, 0], [-sin(p), 0, cos(p)]])
-    about_z = np.array([[cos(y), -sin(y), 0], [sin(y), cos(y), 0], [0, 0, 1]])
-    found[:3, :3], found[:3, 3] = about_z @ about_y @ about_x, xyz
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = rotation(*rpy), xyz
     return found
 
 

@@ -146,6 +146,9 @@ class FiveAxis:
             [linear_position(self.packed, p, r[0], r[1]) for p, r in zip(tip, rotary, strict=True)]
         )
 
+    def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
+        return q
+
     def rates(
         self, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
     ) -> FloatArray:

@@ -12,7 +12,7 @@ from math import pi
 
 import numpy as np
 
-from cnc_interp.core import DEG, BlockError, FloatArray, MachineError, SingularityError
+from cnc_interp.core import DEG, BlockError, FloatArray, MachineError, SingularityError, jet
 from cnc_interp.machine_model import chain_kernels as kernel
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine, arm_of
@@ -54,6 +54,24 @@ class JointChain:
         packed[-1, kernel.SPIN] = spin
         return replace(self, packed=packed)
 
+    def spin_at(self, q: FloatArray) -> float:
+        """Return the spin of the tool at joint positions (n,) [rad]."""
+        side, axis = np.array(kernel.posture(self.packed, q)[0][1:])
+        still = jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2])
+        x = np.array(kernel.side_jets(still, jet.constant(0.0)))[:, 0]
+        return float(np.arctan2(np.cross(x, side) @ axis, x @ side))
+
+    def reached(self, tip: FloatArray, axis: FloatArray, stands: FloatArray) -> FloatArray:
+        """Return the joints (n,) nearest to where they stand that bring the tool to a pose.
+
+        The tool keeps its spin. Raises BlockError if no configuration reaches the pose.
+        """
+        return self.standing(stands).start(tip, axis, 0)[0]
+
+    def standing(self, q: FloatArray) -> JointChain:
+        """Return the chain that begins where the joints stand (n,), and keeps the spin there."""
+        return self.spun(self.spin_at(q)).starting(q)
+
     def starting(self, home: FloatArray) -> JointChain:
         """Return the chain that begins in the configuration nearest to ``home`` (n,) [rad]."""
         arm = replace(arm_of(self.machine), home=home)
@@ -71,6 +89,9 @@ class JointChain:
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
         """Return what X Y Z of programs count: the tool tip in W."""
         return np.asarray(tip)
+
+    def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
+        return tip
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         return self.five_axis.tool_axis(rotary)
@@ -117,7 +138,7 @@ class JointChain:
         found = self.branches(tip, axis)
         if not len(found):
             raise BlockError(
-                f'no configuration of {self.machine.name} reaches the first pose within the '
+                f'no configuration of {self.machine.name} reaches this pose within the '
                 f'travel of its joints at spin {self.spin / DEG:g} deg; move the part, or turn '
                 'the tool (spin_deg, --spin auto)',
                 line,

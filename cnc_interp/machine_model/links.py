@@ -3,44 +3,24 @@
 Two branches leave the machine frame M: X, Y, Z and the axes that carry the tool, down to
 ``tool_tip``; the axes that carry the workpiece, down to ``workpiece``, the frame of programs.
 Joints have the names of the axes. With all axes at zero, all frames are parallel to M.
-"""
 
-from dataclasses import dataclass
+Links and joints of an arm are those of its URDF, from its base on. A fixed joint leads from the
+flange to ``tool_tip``, whose Z is the tool axis, and another one from the base to ``workpiece``.
+"""
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, MachineError
+from cnc_interp.machine_model.joint import TOOL_TIP, WORKPIECE, ZERO, Joint, Vector, vector
 from cnc_interp.machine_model.machine import Machine
 
-Vector = tuple[float, float, float]
-ZERO: Vector = (0.0, 0.0, 0.0)
-UP: Vector = (0.0, 0.0, 1.0)
-BASE, TOOL_TIP, WORKPIECE = 'base_link', 'tool_tip', 'workpiece'
+BASE = 'base_link'
 UNLIMITED = 10.0  #: Travel of a linear axis without limits, because URDF requires numbers [m].
 
 
-@dataclass(frozen=True)
-class Joint:
-    name: str  #: Name of the axis or of the fixed connection.
-    kind: str  #: ``prismatic``, ``revolute``, ``continuous`` or ``fixed``.
-    parent: str
-    child: str
-    origin: Vector  #: Origin of the child in the frame of the parent, with the axis at zero [m].
-    along: Vector = UP  #: Unit direction of the axis [-].
-    travel: tuple[float, float] = (0.0, 0.0)  #: Lowest and highest position [m or rad].
-    max_velocity: float = 0.0  #: Velocity limit [m/s or rad/s].
-    axis: int = -1  #: Index of the axis; -1 of a fixed connection.
-
-
-def vector(values: FloatArray) -> Vector:
-    x, y, z = (float(value) + 0.0 for value in values)
-    return x, y, z
-
-
 def joints_of(machine: Machine) -> tuple[Joint, ...]:
-    """Return the joints of a machine, parents before children."""
+    """Return the joints of a machine, parents before children; the first parent is the base."""
     if machine.arm is not None:
-        raise MachineError(f'{machine.name} is an arm; its machine file names its own URDF')
+        return machine.arm.tree
     joints: list[Joint] = []
 
     def add(k: int, parent: str, child: str, origin: Vector, along: Vector) -> str:

@@ -189,6 +189,11 @@ class Machine:
         return self.axes[self.axis_names.index(name)]
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the axes in URDF and joint states: of an arm, those of its own URDF."""
+        return self.axis_names if self.arm is None else self.arm.joints
+
+    @property
     def extra_names(self) -> tuple[str, ...]:
         return self.axis_names[len(self.axis_names) - len(self.extra_direction) :]
 
@@ -197,6 +202,11 @@ class Machine:
         """Letters of the rotary axes that programs may name."""
         last = len(self.axis_names) - len(self.extra_direction)
         return self.axis_names[3:last] if self.has_rotary else ()
+
+    @property
+    def program_names(self) -> tuple[str, ...]:
+        """Letters of the coordinates of programs that have a zero of their own."""
+        return ('X', 'Y', 'Z', *self.rotary_names)
 
     @property
     def has_rotary(self) -> bool:

@@ -42,6 +42,9 @@ class Transform(Protocol):
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
         """Return what X Y Z of programs count where tips [m] are at rotary positions, (n, 3)."""
 
+    def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
+        """Return the positions for which programs have words, where q (n_axes,) brings the tip."""
+
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """Return the tool axes (n, 3) at positions of the rotary axes that words name."""
 
@@ -121,12 +124,15 @@ def positions_of_pose(
     """
     here, present = (found[0] for found in transform.forward(stands[None, :]))
     tip = np.where(np.isnan(tip), here, tip)
-    own = 5 if transform.machine.has_rotary else 3
-    rotary = np.zeros(2) if own == 3 else stands[3:5]
     if axis is not None:
         length = float(np.linalg.norm(axis))
         if not LEAST_LENGTH < length < np.inf:
             raise ValueError('the direction of the tool axis has no length')
+    if isinstance(transform, JointChain):
+        return transform.reached(tip, present if axis is None else axis / length, stands)
+    own = 5 if transform.machine.has_rotary else 3
+    rotary = np.zeros(2) if own == 3 else stands[3:5]
+    if axis is not None:
         wanted = axis / length
         if own == 3 and np.abs(wanted - present).max() > SAME_AXIS:
             raise ValueError('the tool of this machine does not turn; leave out I J K')

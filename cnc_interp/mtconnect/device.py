@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from uuid import NAMESPACE_DNS, uuid5
 
 from cnc_interp.core import DEG, MM
-from cnc_interp.machine_model.links import BASE, Joint, joints_of
+from cnc_interp.machine_model.joint import Joint
+from cnc_interp.machine_model.links import BASE, joints_of
 from cnc_interp.machine_model.machine import Machine
 
 SAMPLE, EVENT, CONDITION = 'SAMPLE', 'EVENT', 'CONDITION'

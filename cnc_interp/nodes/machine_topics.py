@@ -73,7 +73,7 @@ class MachineTopics:
         for topic in ('active_modes', 'modal_state'):
             take = partial(self._take_modes, topic)
             node.create_subscription(msg.ModalState, topic, take, LOADED)
-        transform = Transform.of(playback.axes.machine)
+        self._transform = transform = Transform.of(playback.axes.machine)
         self._zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         self._rates = (
             Rate(EXECUTED_RATE, self.publish_executed),
@@ -112,6 +112,7 @@ class MachineTopics:
         if modes is None or modes.program_id not in ('', message.program_id):
             return
         positions, tip, axis = map(np.array, (message.positions, message.tip, message.axis))
+        positions = self._transform.counted(positions, tip)
         found = coordinates_from(modes).of_place(positions, tip, axis, self._zero)
         message.coordinates, message.program_positions = modes.coordinates, found.tolist()
 

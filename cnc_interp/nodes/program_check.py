@@ -123,7 +123,7 @@ def prepare_on(
     assert before.stream is not None
     before.stream.go_on(stands, at)
     stream, settings = before.stream, before.settings
-    following = check(stream, setup, before.text, transform, settings, told, may_rest=True)
+    following = check(stream, setup, before.text, transform, settings, told, True, stands)
     return replace(following, is_own_setup=before.is_own_setup, line=before.line)
 
 
@@ -139,7 +139,7 @@ def prepare_line(
     if settings_of_goal(goal, settings) != settings:
         raise InterpError('a line by hand has the settings of program_node; leave out others')
     line = reader.line(goal.text, stands, setup)
-    done = check(line, setup, goal.text, transform, settings, told, may_rest=True)
+    done = check(line, setup, goal.text, transform, settings, told, True, stands)
     return replace(done, line=line)
 
 
@@ -151,10 +151,11 @@ def check(
     settings: Settings,
     told: Callable[[float], None],
     may_rest: bool = False,
+    stands: FloatArray | None = None,
 ) -> Prepared:
     """Lead a program through smoothing and kinematics to its last block; raises as ``prepare``."""
     blocks, length = BlockSpool(), 0.0
-    chain, tolerances = PathChain(transform, settings), ToleranceUse()
+    chain, tolerances = PathChain(transform, settings, stands=stands), ToleranceUse()
     finder = None
     if stream.start.line:
         finder = StartFinder(transform, settings.flank_height, stream.start)

@@ -39,10 +39,9 @@ class SetupServices:
         self._transform, self._coordinates = transform, coordinates
         self._require_tool = require_tool  # raises InterpError if the scene cannot hold it
         self._table, self._peers, self._node = table, peers, node
-        machine = transform.machine
-        own = len(machine.axis_names) - len(machine.extra_names)
         zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0].tolist()
-        self._zero = dict(zip(machine.axis_names[:own], [*zero, 0.0, 0.0], strict=False))
+        names = transform.machine.program_names
+        self._zero = dict(zip(names, [*zero, 0.0, 0.0], strict=False))
         self._program, self._program_id, self._in_use = '', '', frozenset[str]()
         self._publisher = node.create_publisher(SetupMessage, 'setup_table', LOADED)
         node.create_service(ReadSetup, 'read_setup', self._read)
@@ -130,6 +129,7 @@ class SetupServices:
         )
         tip, axis = self._transform.forward(q[None])
         zero = np.array([self._zero[letter] for letter in 'XYZ'])
+        q = self._transform.counted(q, tip[0])
         here = frame.of_place(q, tip[0], axis[0], zero).tolist()
         reads = dict(zip(self._zero, here, strict=False))
         turned = [

@@ -25,7 +25,9 @@ from cnc_interp.client.length_unit import LengthUnit
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.setup_client import SetupClient, of_axes
 from cnc_interp.core import MINUTE
-from cnc_interp.machine.jog_motion import LEAST_SHARE, Slides
+from cnc_interp.machine.jog_motion import LEAST_SHARE
+from cnc_interp.machine.slides import Slides
+from cnc_interp.machine.tool_slide import along_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.contact import VIEW_ONLY, Command, act_on_shown, asked, key
 from cnc_interp.page.readings import ShownUnit
@@ -88,10 +90,11 @@ class JogPad:
                 self._steps.props(look)
                 key('×', 'close jog', self.toggle).tooltip('close')
             crossed = [name for name in CROSS if name in self._names]
-            with ui.element('div').classes('cross'):
+            with ui.element('div').classes('cross') as cross:
                 for name in crossed:
                     for sign in (-1, 1):
                         self._key(name, sign, f'{name}{"+" if sign > 0 else "−"}')
+            cross.set_visibility(bool(crossed))
             for name in (*(name for name in self._names if name not in crossed), TOOL):
                 with ui.element('div').classes('pairs'):
                     self._key(name, -1)
@@ -167,7 +170,7 @@ class JogPad:
     def _along_tool(self) -> Slides:
         state = self._nodes.state
         stands = np.zeros(len(self._names)) if state is None else np.array(state.positions)
-        return Slides.along_tool(self._machine, stands)
+        return along_tool(self._machine, stands)
 
     def _end(self, name: str, sign: int) -> str:
         """Return at which end of its travel an axis stands, in words; empty if it can go on."""

@@ -126,13 +126,18 @@ class Page:
         with ui.element('div').classes('two'):
             self._label('setup', 'work')
             ui.label('machine').classes('heading')
-        for axis in self._machine.axes:
+        named, axes = self._machine.program_names, self._machine.axis_names
+        for name in dict.fromkeys((*named, *axes)):
             with ui.element('div').classes('place'):
-                ui.label(axis.name).classes('name')
-                self._label(f'work {axis.name}').tooltip('in the program, mm or °')
-                self._label(f'axis {axis.name}', 'at').tooltip('of the machine, mm or °')
-                if axis.name not in EXTRA_LETTERS:  # which have no work offset
-                    self._zero_key(axis.name)
+                ui.label(name).classes('name')
+                if name in named or name in EXTRA_LETTERS:  # joints of an arm have no words
+                    self._label(f'work {name}').tooltip('in the program, mm or °')
+                else:
+                    ui.label()
+                if name in axes:
+                    self._label(f'axis {name}', 'at').tooltip('of the machine, mm or °')
+                if name in named:  # others have no work offset
+                    self._zero_key(name)
         with ui.element('div').classes('change') as self._change:
             self._label('offset change', 'grow small')
             undo = key('undo', 'undo offset', self._undo).classes('changes')
@@ -221,7 +226,7 @@ class Page:
         nodes, setup, command = self._desk.nodes, self._desk.setup, self._command_in_sight
         pad = JogPad(self._machine, nodes, lambda: self._in_charge, self._unit, command)
         self._pad = pad
-        axes = [name for name in self._machine.axis_names if name not in EXTRA_LETTERS]
+        axes = self._machine.program_names
         pose = PoseField(nodes, lambda: pad.speed, axes, self._unit, command)
         touch = TouchOffField(setup, axes, self._unit, command)
         with self._over:
@@ -377,7 +382,7 @@ class Page:
         if state is not None:
             hit = desk.planned_hit if self._at_hit else None
             places = state.positions if hit is None else hit.positions
-            self._view.show(dict(zip(self._machine.axis_names, places, strict=False)))
+            self._view.show(dict(zip(self._machine.joint_names, places, strict=False)))
             if desk.setup.table is not None:
                 where = work_zero(desk.setup.table, desk.setup.setup, desk.offset())
                 self._view.show_zero(*where)

@@ -98,10 +98,11 @@ def work_words(
     state: MachineState, machine: Machine, setup: JobSetup, unit: LengthUnit
 ) -> dict[str, str]:
     """Return what the coordinates of the program read, and their name."""
-    reads = list(state.program_positions) or [math.nan] * len(machine.axis_names)
+    names = (*machine.program_names, *machine.extra_names)
+    reads = list(state.program_positions) or [math.nan] * len(names)
     words = {
         f'work {name}': unit.shown(name, value) if math.isfinite(value) else NOTHING
-        for name, value in zip(machine.axis_names, reads, strict=False)
+        for name, value in zip(names, reads, strict=False)
     }
     tool = f'tool {setup.tool}' if setup.tool else 'no tool'
     words['setup'] = f'{state.coordinates}, {tool}' if state.coordinates else NOTHING

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.description import urdf
-from cnc_interp.machine_model import links
+from cnc_interp.machine_model.joint import TOOL_TIP, WORKPIECE, Joint
+from cnc_interp.machine_model.links import BASE
 from cnc_interp.page.preview import Preview
 from cnc_interp.page.start_choice import WayThere
 
@@ -95,7 +96,7 @@ RAY, RAY_COLOUR = 0.14, '#ffd166'
 WAY, WAY_RADIUS = '#ff5ec4', 0.004
 FOV = 40.0
 #: What the view of the part leaves out.
-MACHINE_LINKS = (links.BASE, 'x_slide', 'y_slide', 'z_slide', links.WORKPIECE)
+MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)
 #: Opacity of what carries the tool in the view of the part: the point of cutting is seen.
 SEE_THROUGH = 0.3
 SOLID = 0.9  #: Opacity of the stock while it is cut: walls and floors are seen.
@@ -122,11 +123,11 @@ class MachineView:
         self._hit: tuple[str, ...] = ()
         self._tool = 0
         joints = {joint.child: joint.parent for joint in description.joints}
-        link, self._tool_side = links.TOOL_TIP, {links.TOOL_TIP}
+        link, self._tool_side = TOOL_TIP, {TOOL_TIP}
         while link in joints:
             link = joints[link]
             self._tool_side.add(link)
-        self._joints: dict[str, tuple[links.Joint, Any]] = {}
+        self._joints: dict[str, tuple[Joint, Any]] = {}
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
         self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
         self._scene.classes('scene')
@@ -134,7 +135,7 @@ class MachineView:
         with self._scene:
             self._root = self._scene.group()
             with self._root:
-                self._build(links.BASE)
+                self._build(description.joints[0].parent)
         self._look(np.zeros(3), 0.25)
 
     def _build(self, link: str) -> None:
@@ -147,14 +148,15 @@ class MachineView:
         for number, body in enumerate(self._description.bodies):
             if body.link == link:
                 self._add_body(number, body)
-        if link == links.TOOL_TIP:
+        if link == TOOL_TIP:
             ray = urdf.Shape((0.0006, RAY), (0.0, 0.0, RAY / 2), (1.0, 0.82, 0.4, 1.0))
             self._add(ray).material(RAY_COLOUR)
-        if link == links.WORKPIECE:
+        if link == WORKPIECE:
             self._workpiece = self._scene.group()
         for joint in self._description.joints:
             if joint.parent == link:
                 group = self._scene.group().move(*joint.origin)
+                group.rotate_R(joint.turn.tolist())
                 self._joints[joint.name] = joint, group
                 with group:
                     self._build(joint.child)
@@ -166,7 +168,7 @@ class MachineView:
         if body.role.name == 'STOCK':
             self._uncut.append(found)
             self._stock = self._scene.group()
-        if body.link in MACHINE_LINKS and body.link != links.WORKPIECE:
+        if body.link in MACHINE_LINKS and body.link != WORKPIECE:
             self._hidden.append(found.visible(False))
         elif body.link in self._tool_side:
             self._carriers.append((found, colour))
@@ -216,11 +218,11 @@ class MachineView:
                 place = np.array(joint.origin) + value * np.array(joint.along)
                 group.move(*(round(float(x), 6) for x in place))
             else:
-                turn = Rotation.from_rotvec(value * np.array(joint.along)).as_matrix()
+                turn = joint.turn @ Rotation.from_rotvec(value * np.array(joint.along)).as_matrix()
                 group.rotate_R(turn.round(6).tolist())
         turn, place = np.eye(3), np.zeros(3)
         if self._of_part:
-            rotation, origin = self._description.pose(links.WORKPIECE, positions)
+            rotation, origin = self._description.pose(WORKPIECE, positions)
             turn, place = rotation.T, -rotation.T @ origin
         self._root.rotate_R(turn.round(6).tolist())
         self._root.move(*(round(float(x), 6) for x in place))

@@ -19,7 +19,7 @@ import numpy as np
 from cnc_interp.collision.scene import Placed, Role
 from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.machine_model.links import BASE, joints_of
+from cnc_interp.machine_model.links import joints_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.proof.clearance_bound import (
@@ -115,13 +115,14 @@ def prove_clearance(ledger: Ledger, machine: Machine) -> Motion | None:
 
 def links_of(machine: Machine) -> Links:
     joints = joints_of(machine)
-    names = [BASE, *(joint.child for joint in joints)]
+    names = [joints[0].parent, *(joint.child for joint in joints)]
     return Links(
         np.array([-1, *(names.index(joint.parent) for joint in joints)]),
         np.array([-1, *(joint.axis for joint in joints)]),
         np.array([False, *(joint.kind in ('revolute', 'continuous') for joint in joints)]),
         np.array([(0.0, 0.0, 0.0), *(joint.origin for joint in joints)]),
         np.array([(0.0, 0.0, 1.0), *(joint.along for joint in joints)]),
+        np.array([np.eye(3), *(joint.turn for joint in joints)]),
     )
 
 

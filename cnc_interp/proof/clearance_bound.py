@@ -46,6 +46,7 @@ class Links(NamedTuple):
     turns: BoolArray  #: Whether that axis is rotary.
     origin: FloatArray  #: (n, 3): In the frame of the parent [m].
     along: FloatArray  #: (n, 3): Direction of the axis [-].
+    turn: FloatArray  #: (n, 3, 3): How the link is turned in its parent, with the axis at zero.
 
 
 class Solids(NamedTuple):
@@ -149,7 +150,7 @@ def frames(links: Links, q: FloatArray, turn: FloatArray, origin: FloatArray) ->
         elif axis >= 0:
             skew = np.array(((0.0, -u[2], u[1]), (u[2], 0.0, -u[0]), (-u[1], u[0], 0.0)))
             local += sin(q[axis]) * skew + (1.0 - cos(q[axis])) * (skew @ skew)
-        turn[k] = turn[p] @ local
+        turn[k] = turn[p] @ (links.turn[k] @ local)
         origin[k] = origin[p] + turn[p] @ shift
 
 
@@ -246,7 +247,7 @@ def certified(
             change, change_axis, rest, way = 0.0, np.zeros(3), 0.0, 0.0
             for j in range(count):
                 k = steps[j]
-                u = turn[links.parent[k]] @ links.along[k]
+                u = turn[k] @ links.along[k]
                 half, eps = motion[1, links.axis[k]], motion[2, links.axis[k]]
                 most = abs(half) + eps
                 if not links.turns[k]:

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 from cnc_interp.collision.scene import Body, Placed, Role
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
-from cnc_interp.machine_model.links import TOOL_TIP
+from cnc_interp.machine_model.joint import TOOL_TIP
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.proof.clearance import Motion, tools_at
 from cnc_interp.proof.clearance_bound import Cells, Links, frames, place

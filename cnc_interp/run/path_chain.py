@@ -59,7 +59,8 @@ class PathPart:
 class PathChain:
     """Blocks in, segments and their path in machine axes out.
 
-    ``spun``: an arm as it begins, and the spins of ``AxisPathBuilder``, if they were chosen.
+    ``spun``: an arm as it begins, and the spins of ``AxisPathBuilder``, if they were chosen;
+    ``stands``: as there.
     """
 
     def __init__(
@@ -68,11 +69,12 @@ class PathChain:
         settings: Settings,
         watch: Stopwatch | None = None,
         spun: tuple[Transform, FloatArray] | None = None,
+        stands: FloatArray | None = None,
     ):
         self._smoother = smoother_of(transform, settings)
         height, period = settings.flank_height, settings.interpolation_period
         leads, spins = spun or (transform, None)
-        self._builder = AxisPathBuilder(leads, height, period, spins)
+        self._builder = AxisPathBuilder(leads, height, period, spins, stands)
         self._watch = watch or Stopwatch()
 
     @property

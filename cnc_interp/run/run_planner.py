@@ -55,7 +55,7 @@ class RunPlanner:
     ):
         self._transform, self._choices, self._stands = transform, choices, stands
         machine, period = transform.machine, choices.interpolation_period
-        self._builder = AxisPathBuilder(transform, choices.flank_height, period)
+        self._builder = AxisPathBuilder(transform, choices.flank_height, period, stands=stands)
         self.stream = MotionStream(
             limits_at(machine, period),
             period,

@@ -10,20 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, IntArray, ProgramError
+from cnc_interp.core import MM, FloatArray, IntArray, ProgramError
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.path_checks import check_travel
+from cnc_interp.machine_model.chain_kernels import followed
+from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform_port import ToolLine, Transform, tool_line
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
 from cnc_interp.run.course import from_place, to_place
+from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
 #: Positions tried in a cell, and how often the nearest interval is divided again.
 TRIED, DIVIDED = 16, 8
+STEP = 1.0 * MM  #: In which the tool of an arm is drawn back to see how far it can be.
 THERE = 1e-9  #: Axes nearer than this to the next point stay where they are [m, rad].
 
 
@@ -243,9 +249,78 @@ def approach_inside(
     retract: float,
     plunge_feed: float,
 ) -> AxisPath | None:
+    if isinstance(transform, JointChain):
+        return arm_inside(transform, flank_height, stands, place, retract, plunge_feed)
     corners = way_inside(transform, stands, place, retract)
     feeds = np.array([np.inf, np.inf, np.inf, plunge_feed])
     return straight(transform, flank_height, corners, feeds)
+
+
+def arm_inside(
+    chain: JointChain,
+    flank_height: float,
+    stands: FloatArray,
+    place: FloatArray,
+    retract: float,
+    plunge_feed: float,
+) -> AxisPath | None:
+    """Make the way of an arm to a place inside: along the tool, in its joints, along the tool."""
+    if np.abs(place - stands).max() <= THERE:
+        return None
+    (here, there), (axis, to_axis) = chain.forward(np.stack([stands, place]))
+    back = _drawn_back(chain, stands, max(retract, float((there - here) @ axis)))
+    above = _drawn_back(chain, place, max(retract, float((here - there) @ to_axis)))
+    begin = _drawn_back(chain, place, retract)
+    ways = [(stands, back, np.inf), (above, begin, np.inf), (begin, place, plunge_feed)]
+    legs = [_along_tool(chain, flank_height, *way) for way in ways]
+    legs.insert(1, straight(chain, flank_height, np.stack([back, above]), np.array([np.inf])))
+    found, end = list[AxisPath](), 0.0
+    for leg in reversed([leg for leg in legs if leg is not None]):
+        found.insert(0, replace(leg, s=leg.s + (end - leg.s[-1])))
+        end = float(found[0].s[0])
+    return AxisPath.join(found)
+
+
+def _drawn_back(chain: JointChain, q: FloatArray, height: float) -> FloatArray:
+    """Return the joints (n,) with the tool drawn back so far [m], or as far as the arm can."""
+    chain = chain.standing(q)
+    tip, axis = (rows[0] for rows in chain.forward(q[None]))
+    up = np.linspace(0.0, height, 2 + int(height / STEP))
+    poses = tip + up[:, None] * axis, np.tile(axis, (len(up), 1))
+    found, _ = followed(chain.packed, *poses, q)
+    low, high = chain.machine.travel.T
+    regular = np.abs([np.linalg.det(chain.pose_rates(row)) for row in found]) > chain.least
+    sound = regular & ((found >= low) & (found <= high)).all(axis=1)
+    reached = int(np.append(sound, False).argmin())
+    return np.asarray(found[reached - 1] if reached else q)
+
+
+def _along_tool(
+    chain: JointChain, flank_height: float, start: FloatArray, end: FloatArray, feed: float
+) -> AxisPath | None:
+    """Make the path on which the tool moves along its axis, between joint positions (n,)."""
+    tip, axis = chain.forward(np.stack([start, end]))
+    if np.abs(tip[1] - tip[0]).max() <= THERE:
+        return None
+    none = np.full(2, np.nan)
+    blocks = Blocks(
+        tip=tip,
+        axis=axis[[0, 0]],
+        rotary=np.full((2, 2), np.nan),
+        feedrate=np.full(2, feed),
+        duration=none,
+        rapid=np.full(2, not np.isfinite(feed)),
+        exact_stop=np.ones(2, dtype=np.bool_),
+        contour_tolerance=np.full(2, THERE),
+        orientation_tolerance=np.full(2, THERE),
+        line_number=np.zeros(2, dtype=np.int64),
+        extra=np.zeros((2, 0)),
+    )
+    settings = Settings(flank_height=flank_height)
+    segments = segments_of(blocks, chain, settings)
+    period = settings.interpolation_period
+    path = AxisPathBuilder(chain, flank_height, period, stands=start).push(segments)
+    return None if path is None else replace(path, cell_block=np.zeros_like(path.cell_block))
 
 
 def straight(

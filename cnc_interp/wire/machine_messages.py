@@ -19,7 +19,7 @@ from cnc_interp.wire.run_messages import NUMBERS
 
 def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState:
     message = JointState(
-        name=list(machine.axis_names),
+        name=list(machine.joint_names),
         position=feedback.position[-1].tolist(),
         velocity=feedback.velocity[-1].tolist(),
     )

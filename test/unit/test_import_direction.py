@@ -70,6 +70,7 @@ PROOF_MAY_IMPORT = (
     'cnc_interp.drives.compensation',
     'cnc_interp.drives.tool_error',
     'cnc_interp.machine_model.five_axis',
+    'cnc_interp.machine_model.joint',
     'cnc_interp.machine_model.links',
     'cnc_interp.machine_model.machine',
     'cnc_interp.machine_model.signals',

@@ -9,9 +9,11 @@ from tiers import examples, few_of
 from cnc_interp.core import StreamError
 from cnc_interp.machine.cycle_kernels import RECORDED
 from cnc_interp.machine.jog import AHEAD, GIVEN_UP, LATE, PIECE, Jog
-from cnc_interp.machine.jog_motion import JogMotion, Slides
+from cnc_interp.machine.jog_motion import JogMotion
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
+from cnc_interp.machine.slides import Slides
+from cnc_interp.machine.tool_slide import along_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.run_state import Reason, RunId, State
@@ -20,7 +22,8 @@ from cnc_interp.run.setpoints import Wait
 T = 0.001
 MM = 1e-3
 XYZAC = Machine.load('xyzac')
-MACHINES = [XYZAC, Machine.load('head_head'), Machine.load('vmc')]
+ARMS = [Machine.load('ur10e'), Machine.load('m710ic_50')]
+MACHINES = [XYZAC, Machine.load('head_head'), Machine.load('vmc'), ARMS[0]]
 
 
 def use_of(machine, q):
@@ -101,7 +104,7 @@ def test_along_the_tool_the_tip_moves_on_the_tool_axis(name):
     machine = Machine.load(name)
     transform = Transform.of(machine)
     stands = np.array([0.05, 0.02, -0.1, 0.4, 0.7, *np.zeros(5)])[: len(machine.axis_names)]
-    slides = Slides.along_tool(machine, stands)
+    slides = along_tool(machine, stands)
     q = slides.positions(np.array([[0.0], [0.03]]))
     tip, axis = transform.forward(q)
     assert tip[1] - tip[0] == pytest.approx(0.03 * axis[0], abs=1e-12)
@@ -117,6 +120,51 @@ def test_along_the_tool_the_tip_moves_on_the_tool_axis(name):
     tip, axis = transform.forward(q)
     way = tip - tip[0]
     assert np.abs(way - np.outer(way @ axis[0], axis[0])).max() < 1e-10
+
+
+@pytest.mark.parametrize('machine', ARMS, ids=lambda m: m.name)
+def test_the_tool_of_an_arm_moves_on_its_axis_and_no_joint_exceeds_a_limit(machine):
+    random, stands = np.random.default_rng(3), machine.arm.home
+    slides = along_tool(machine, stands)
+    motion = JogMotion(slides, T, slides.coordinates(stands))
+    low, high = slides.limits.travel[0]
+    assert low < -0.1 and high > 0.1
+    rows = [stands[None].repeat(3, 0)]
+    for k in range(150):
+        if k % 12 == 0:
+            motion.run(random.choice([-1.0, 1.0]) * slides.limits.max_velocity)
+        if k % 30 == 29:
+            motion.go(np.array([random.uniform(low, high)]), 1.0)
+        if not motion.over:
+            chunk = motion.piece(20)
+            stopped = np.concatenate([rows[-1][-3:], chunk.samples.position, chunk.tail.position])
+            assert max(use_of(machine, stopped)) <= 1.001
+            rows.append(chunk.samples.position)
+    q = np.concatenate(rows)
+    assert beyond(machine, q) <= 0.0
+    tip, axis = Transform.of(machine).forward(q)
+    way = tip - tip[0]
+    assert np.ptp(way @ axis[0]) > 0.1
+    assert np.abs(way - np.outer(way @ axis[0], axis[0])).max() < 1e-9
+    assert np.abs(axis - axis[0]).max() < 1e-9
+    with pytest.raises(StreamError, match='the arm can move its tool from'):
+        slides.positions(np.array([[high + 0.1]]))
+
+
+def test_a_distance_that_just_reaches_the_acceleration_is_no_obstacle():
+    # ruckig 0.19 finds no motion over 2 A^3 / J^2 from many places.
+    random, machine = np.random.default_rng(4), ARMS[0]
+    distance = 2.0 * machine.max_acceleration**3 / machine.max_jerk**2
+    for _ in range(100):
+        start = random.uniform(-2.0, 2.0, 6)
+        motion = JogMotion(Slides.of_axes(machine), T, start)
+        motion.go(start + distance, 1.0)
+        rows = [start[None].repeat(3, 0)]
+        while not motion.over:
+            rows.append(motion.piece(500).samples.position)
+        q = np.concatenate(rows)
+        assert np.abs(q[-1] - start - distance).max() < 1e-9
+        assert max(use_of(machine, q)) <= 1.001
 
 
 # With the machine -------------------------------------------------------------------------------

@@ -19,7 +19,8 @@ from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine.axis_motion import refuse_setpoints
-from cnc_interp.machine.jog_motion import JogMotion, Slides
+from cnc_interp.machine.jog_motion import JogMotion
+from cnc_interp.machine.slides import Slides
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program

@@ -1,6 +1,7 @@
 """URDF of the machines, read by another library, against the machines' own forward kinematics."""
 
 import io
+import shutil
 from dataclasses import replace
 from itertools import product
 
@@ -13,8 +14,8 @@ from cnc_interp.collision.drawing import drawn_bodies
 from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.commands.cli import main
 from cnc_interp.description.urdf import describe_machine, urdf_of
-from cnc_interp.machine_model.links import TOOL_TIP, WORKPIECE
-from cnc_interp.machine_model.machine import Machine, machines_directory
+from cnc_interp.machine_model.joint import TOOL_TIP, WORKPIECE
+from cnc_interp.machine_model.machine import Machine, arms_directory, machines_directory
 from cnc_interp.machine_model.transform_port import Transform
 
 BUNDLED = sorted(path.stem for path in machines_directory().glob('*.yaml'))
@@ -33,7 +34,7 @@ def with_rotary(on_head):
     )
 
 
-MACHINES = [Machine.load(name) for name in BUNDLED]
+MACHINES = [Machine.load(name) for name in (*BUNDLED, 'ur10e', 'm710ic_50')]
 MACHINES += [with_rotary(on_head) for on_head in product((False, True), repeat=2)]
 
 
@@ -54,7 +55,7 @@ def test_a_reader_of_urdf_finds_tip_and_tool_axis_of_the_forward_kinematics(mach
     q = random_positions(machine, np.random.default_rng(5))
     tips, axes = Transform.of(machine).forward(q)
     for positions, tip, axis in zip(q, tips, axes):
-        by_name = dict(zip(machine.axis_names, positions))
+        by_name = dict(zip(machine.joint_names, positions))
         robot.update_cfg(by_name)
         pose = robot.get_transform(TOOL_TIP, WORKPIECE)
         assert np.abs(pose[:3, 3] - tip).max() < 1e-9
@@ -70,14 +71,30 @@ def test_a_reader_of_urdf_finds_tip_and_tool_axis_of_the_forward_kinematics(mach
 def test_joints_have_names_and_limits_of_the_machine_file(machine):
     joints = read(urdf_of(machine)).joint_map
     moving = {name for name, joint in joints.items() if joint.type != 'fixed'}
-    assert moving == set(machine.axis_names)
-    for name, travel, speed in zip(machine.axis_names, machine.travel, machine.max_velocity):
+    assert moving == set(machine.joint_names)
+    for name, travel, speed in zip(machine.joint_names, machine.travel, machine.max_velocity):
         limit = joints[name].limit
         assert limit.velocity == pytest.approx(speed, rel=1e-12)
         if np.isfinite(travel).all():
             assert (limit.lower, limit.upper) == pytest.approx(tuple(travel), rel=1e-12)
         else:
             assert joints[name].type == ('prismatic' if name in 'XYZ' else 'continuous')
+
+
+def test_the_urdf_of_an_arm_keeps_its_shapes_and_gets_two_frames(tmp_path):
+    shutil.copytree(arms_directory(), tmp_path, dirs_exist_ok=True)
+    file = tmp_path / 'ur10e.urdf'
+    visual = '<visual><geometry><mesh filename="package://of/forearm.dae"/></geometry></visual>'
+    own = file.read_text().replace(
+        '<link name="forearm"/>', f'<link name="forearm">{visual}</link>'
+    )
+    file.write_text(own)
+    assert main(['urdf', str(tmp_path / 'ur10e.yaml'), '--out', str(tmp_path / 'made.urdf')]) == 0
+    made = read((tmp_path / 'made.urdf').read_text())
+    before = read(own)
+    assert set(made.link_map) == {*before.link_map, TOOL_TIP, WORKPIECE}
+    found = made.link_map['forearm'].visuals[0].geometry.mesh.filename
+    assert found.endswith('of/forearm.dae')
 
 
 def test_the_bodies_of_a_scene_are_drawn_where_they_are(tmp_path):

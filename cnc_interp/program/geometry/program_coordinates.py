@@ -35,8 +35,8 @@ class ProgramCoordinates:
 
         Parameters
         ----------
-        positions : ndarray, shape (n_axes,)
-            Axis positions [m, rad].
+        positions : ndarray, shape (n,)
+            Axis positions [m, rad]; of an arm, those of its tool tip, (3,).
         tip, axis : ndarray, shape (3,)
             Tool tip [m] and unit tool axis [-] there, in the workpiece frame.
         zero : ndarray, shape (3,)
@@ -44,7 +44,7 @@ class ProgramCoordinates:
 
         Returns
         -------
-        ndarray, shape (n_axes,)
+        ndarray, shape (n,)
             X Y Z, rotary axes, and extra axes, which have no offset [m, rad]; empty if unknown.
 
         """

@@ -96,6 +96,10 @@ class Mover(ArcTargets):
         target[wanted] = here[wanted] + (target[given] - here[given]) * slope
 
     def stand_at(self, q: FloatArray) -> None:
+        if self.geometry.machine.arm is not None:
+            (point,), (axis,) = self.geometry.forward(q[None])
+            self.go(point, self.rotary, axis, rapid=True)
+            return
         own = 3 + len(self.rotary_letters)
         for letter, value in zip(self.extra_letters, q[own:], strict=True):
             self.extra[EXTRA_LETTERS.index(letter)] = value

@@ -429,3 +429,27 @@ def test_g_code_turns_the_tool_by_directions(tmp_path, capsys):
     assert np.abs(tip - [0.0, 0.0, 5e-3]).max() < 1e-9
     # Where tool-tip programming is off, the tool keeps its direction.
     assert np.abs(axis - np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)).max() < 1e-8
+
+
+def test_the_links_of_an_arm_keep_their_clearances_or_the_program_is_refused(tmp_path, capsys):
+    text = (
+        'FEDRAT/1500,MMPM\nGOTO/0,0,20,0,0,1\nGOTO/0,0,{low},0,0,1\nGOTO/{x},0,{low},0,0,1\nFINI\n'
+    )
+    program, out = tmp_path / 'part.apt', tmp_path / 'out'
+    given = ['plan', str(program), '--machine', 'ur10e', '--scene', 'ur10e', '--out', str(out)]
+    program.write_text(text.format(low=-39, x=50))
+    assert main(given) == 0
+    assert main(['check', str(out)]) == 0
+    told = capsys.readouterr().out
+    # The table ends 40 mm below the zero of the part.
+    assert 'cutter and table' in told
+    columns = dict(np.load(out / 'collision.npz'))
+    columns['normal'] = -columns['normal']
+    np.savez(out / 'collision.npz', **columns)
+    assert main(['check', str(out)]) == 1
+    program.write_text(text.format(low=-41, x=50))
+    assert main(given) != 0
+    assert ':3: ' in (told := capsys.readouterr().err) and 'table' in told
+    program.write_text(text.format(low=100, x=-600))  # the tool comes to the arm itself
+    assert main(given) != 0
+    assert 'line 4, holder cone 2 and shoulder' in capsys.readouterr().err

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from cnc_interp.machine_model.machine import Machine
 
 Values = Mapping[str, Any]
-#: Opens the topics of a controller: its name, its feedback, the joint of each axis.
-Link = Callable[[str, str, list[str]], 'Controller']
+#: Opens the topics of a controller: the parameters that name it, and the joint of each axis.
+Link = Callable[[Values, list[str]], 'Controller']
 
 
 class Declared(NamedTuple):
@@ -87,7 +87,7 @@ def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> 
     from cnc_interp.machine.trajectory_drives import TrajectoryDrives
 
     joints = joints_of(values['controller_joints'], machine)
-    controller = link(values['controller'], values['controller_feedback'], joints)
+    controller = link(values, joints)
     delay, silence = values['controller_delay'], values['controller_silence']
     return TrajectoryDrives(machine, period, controller, delay, _limits(machine, values), silence)
 
@@ -138,6 +138,13 @@ KINDS = {
             Declared(
                 'controller_joints', [''], 'Joint of each axis; if empty named as in the URDF'
             ),
+            Declared(
+                'controller_speed',
+                '',
+                'Topic with the speed at which the robot executes trajectories; if empty, it '
+                'always executes them at full speed',
+            ),
+            Declared('controller_full_speed', 100.0, 'Its value at full speed', 1e-3, 1e6),
             Declared(
                 'controller_delay',
                 0.2,

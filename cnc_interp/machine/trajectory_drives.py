@@ -21,6 +21,7 @@ OVERLAP = 0.02  #: A trajectory begins by so much before what the controller exe
 RESERVE = 0.25  #: Share of the delay by which news must leave before they are due [-].
 LATEST = 1.0  #: Age up to which reports are compared with what was commanded then [s].
 SILENCE_OF_A_CALL = 0.05  #: Most silence that one call adds: this program may stand [s].
+SLOWER = 2e-3  #: A robot slower than its trajectories by this share is told to stop [-].
 POWER_UP, SETTLING = 5.0, 0.1  #: Longest waits for the controller, and for its axes to settle [s].
 
 
@@ -49,6 +50,9 @@ class Controller(Protocol):
 
     def listens(self) -> bool:
         """Return whether somebody takes trajectories."""
+
+    def speed(self) -> float:
+        """Return the share of full speed at which it executes trajectories, as told last [-]."""
 
     def send(self, trajectory: Trajectory) -> None:
         """Send a trajectory that replaces the one before."""
@@ -137,6 +141,8 @@ class TrajectoryDrives(DelayedDrives):
                 raise DriveFaultError(f'{self._controller.name}: {cause}')
             time.sleep(0.01)
             self._take_reports()
+        if slow := self._slow():
+            raise DriveFaultError(slow)
         self._forget(self.position)
         self._on, self.alarm, self._silence = True, '', 0.0
 
@@ -240,9 +246,21 @@ class TrajectoryDrives(DelayedDrives):
         bend = v[row + 1] + slope - 2.0 * step
         return p[row] + u * (slope + u * (step - slope - bend + u * bend))
 
+    def _slow(self) -> str:
+        """Return why a robot that does not keep to the times of its trajectories must stop."""
+        share = self._controller.speed()
+        if not share < 1.0 - SLOWER:
+            return ''
+        return (
+            f'{self._controller.name}: the robot executes trajectories at {share:.0%} of their '
+            'speed; set it to 100 %, press reset, and use the feed override instead'
+        )
+
     def _cause(self, errors: FloatArray) -> str:
         if self._silence > self._longest_silence:
             return f'{self._controller.name} is silent: {self._silent}'
+        if slow := self._slow():
+            return slow
         beyond = np.any(np.abs(errors) > self._limits, axis=0)
         if not beyond.any():
             return ''

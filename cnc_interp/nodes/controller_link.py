@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import rclpy
 from builtin_interfaces.msg import Duration, Time
 from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from cnc_interp.machine.trajectory_drives import JointReport, Trajectory
@@ -62,13 +63,17 @@ SPIN_TIMEOUT = 0.1  #: The thread looks after such times whether it shall end [s
 class ControllerLink:
     """The controller on its topics: a node of its own, heard while the machine node waits."""
 
-    def __init__(self, namespace: str, controller: str, feedback: str, joints: Sequence[str]):
-        self._joints = joints
+    def __init__(self, namespace: str, values: Mapping[str, Any], joints: Sequence[str]):
+        self._joints, controller = joints, values['controller']
+        feedback, speed = values['controller_feedback'], values['controller_speed']
+        self._full, self._speed = values['controller_full_speed'], 1.0
         alone = {'namespace': namespace, 'use_global_arguments': False}
         self._node = rclpy.create_node('controller_link', **alone)
         topic = f'{controller}/joint_trajectory'
         self._trajectories = self._node.create_publisher(JointTrajectory, topic, TRAJECTORY)
         self._node.create_subscription(JointState, feedback, self._hear, FEEDBACK)
+        if speed:
+            self._node.create_subscription(Float64, speed, self._hear_speed, FEEDBACK)
         self.name = f'controller {controller}, positions on {feedback}'
         self._clock = self._node.get_clock()
         self._reports: deque[JointReport] = deque(maxlen=10_000)
@@ -88,6 +93,12 @@ class ControllerLink:
         report = joint_report(message, self._joints)
         if report is not None:
             self._reports.append(report)
+
+    def _hear_speed(self, message: Float64) -> None:
+        self._speed = message.data / self._full
+
+    def speed(self) -> float:
+        return self._speed
 
     def now(self) -> int:
         return int(self._clock.now().nanoseconds)

@@ -88,10 +88,10 @@ class MachineNode(LifecycleNode):
         self._topics = MachineTopics(self, self._playback, values, *given)
         node_main.every(self, CLOCK_PERIOD, self._report_clock)
 
-    def _link(self, controller: str, feedback: str, joints: list[str]) -> Any:
+    def _link(self, values: Any, joints: list[str]) -> Any:
         from cnc_interp.nodes.controller_link import ControllerLink
 
-        return ControllerLink(self.get_namespace(), controller, feedback, joints)
+        return ControllerLink(self.get_namespace(), values, joints)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         assert self._clock_of_drives is not None

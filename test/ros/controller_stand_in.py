@@ -24,6 +24,7 @@ from controller_model import ControllerModel
 from rclpy.experimental import EventsExecutor
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from cnc_interp.nodes.node_main import come_first
@@ -53,6 +54,7 @@ class StandIn:
             'controller_feedback': f'{self.name}/joint_states',
             'controller_joints': OF_AXES,
             'controller_delay': delay,
+            'controller_speed': f'{self.name}/speed_scaling',
             'controller_silence': 4.0,  # a busy computer may hold the stand-in up
         }
 
@@ -71,7 +73,7 @@ class StandIn:
         return self
 
     def tell(self, **order):
-        """Let it ``stall`` (True or False) or hold an axis fast: ``stuck`` (index, or None)."""
+        """Let it ``stall``, hold an axis fast (``stuck``: joint, or None), or tell a ``speed``."""
         self._process.stdin.write(json.dumps(order) + '\n')
         self._process.stdin.flush()
 
@@ -109,7 +111,8 @@ class Robot:
             JointTrajectory, f'{name}/arm_controller/joint_trajectory', self.hear, 1
         )
         self.reports = self.node.create_publisher(JointState, f'{name}/joint_states', 10)
-        self.stall, self.stuck = False, None
+        self.speeds = self.node.create_publisher(Float64, f'{name}/speed_scaling', 10)
+        self.stall, self.stuck, self.speed = False, None, 100.0
 
     def hear(self, message):
         why = self.model.take(message, self.clock.now().nanoseconds)
@@ -138,6 +141,7 @@ class Robot:
         )
         message.header.stamp = Time(nanoseconds=now).to_msg()
         self.reports.publish(message)
+        self.speeds.publish(Float64(data=self.speed))
 
 
 def main(name, log):

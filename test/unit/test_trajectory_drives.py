@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time
 from controller_model import SECOND, ControllerModel
 from test_drives_port import MACHINE, START, TARGET, T, chunks
 
-from cnc_interp.core import InterpError
+from cnc_interp.core import InterpError, StreamError
 from cnc_interp.machine.drive_kinds import joints_of
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.trajectory_drives import (
@@ -36,6 +36,7 @@ class Bench:
         self.time, self.waits, self.silent = 1_000 * SECOND + 321_987, True, False
         self.model = ControllerModel(JOINTS, START[::-1], **tolerances)
         self.axes, self.stuck = START.copy(), np.zeros(5, dtype=bool)
+        self.share = 1.0
         self.commanded, self.played, self.sent, self.reports = [], [], [], []
         self.drives = TrajectoryDrives(
             MACHINE, T, self, delay, np.where(MACHINE.is_linear, 1e-3, 0.02), 1.0
@@ -51,6 +52,9 @@ class Bench:
 
     def listens(self):
         return True
+
+    def speed(self):
+        return self.share
 
     def send(self, trajectory):
         message = joint_trajectory(trajectory, MACHINE.axis_names)
@@ -184,6 +188,26 @@ def test_a_silent_controller_stops_the_machine_on_its_path():
     text = bench.playback.state.text
     assert bench.playback.state.state is State.FAULT and 'controller is silent' in text
     assert np.array_equal(bench.axes, bench.played[-1]) and bench.lag() < 2e-8
+
+
+def test_a_robot_that_scales_its_speed_stops_the_machine_on_its_path():
+    bench = Bench()
+    bench.load()
+    bench.step(300)
+    bench.share = 0.5
+    bench.step(900)
+    playback = bench.playback
+    assert (playback.state.state, playback.state.reason) == (State.FAULT, Reason.DRIVE_FAULT)
+    assert 'executes trajectories at 50% of their speed' in playback.state.text
+    assert np.array_equal(bench.axes, bench.played[-1]) and bench.lag() < 2e-8
+    bench.waits = True
+    with pytest.raises(StreamError, match='at 50% of their speed'):
+        playback.reset()
+    bench.share = 1.0
+    playback.reset()
+    bench.waits = False
+    bench.step(50)
+    assert playback.state.state is State.IDLE
 
 
 def test_joints_are_found_by_name_and_a_missing_one_is_no_report():

@@ -14,7 +14,7 @@ from typing import Any
 
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import open_named
-from cnc_interp.machine_model.machine import Machine, find_machine_file
+from cnc_interp.machine_model.machine import Machine, whole_text
 from cnc_interp.program.text.source import PROGRAM_SUFFIXES, called_files
 from cnc_interp.settings.options import Settings, texts_of
 
@@ -216,5 +216,4 @@ def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:
 
 
 def _model(name: str) -> Model:
-    machine = Machine.load(name)
-    return Model(name, find_machine_file(name).read_text(encoding='utf-8'), machine.file)
+    return Model(name, whole_text(name), Machine.load(name).file)

@@ -87,7 +87,7 @@ def _planned(task: Task, processes: int) -> Row:
         **{name: summary[name] for name in SAME} | uses,
         contour_used=proof.largest('contour deviation').ratio,
         orientation_used=proof.largest('orientation deviation').ratio,
-        notices=tuple(stream.notices) + ((told,) if (told := collision_text(summary)) else ()),
+        notices=(*stream.notices, *filter(None, (collision_text(summary), machine.guessed))),
         plan_hash=digest,
     )
 

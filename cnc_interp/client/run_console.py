@@ -118,6 +118,8 @@ class RunConsole:
         first program was refused before anything moved, or a node ended.
         """
         self._wait_for_nodes()
+        if machine.guessed and not self._request.quiet:
+            tell([machine.guessed])
         programs = [self._send(program) for program in self._request.programs]
         results: list[RunResult] = []
         for sent in programs:
@@ -150,7 +152,7 @@ class RunConsole:
             **{name: getattr(outcome, name) for name in AS_TOLD},
             **{name: by_axis(getattr(outcome, name)) for name in BY_AXIS},
             position=by_axis(state.positions if state is not None else ()),
-            notices=tuple(outcome.notices),
+            notices=(*outcome.notices, *filter(None, [machine.guessed])),
             faults=tuple(self._children.faults.values()),
             scene=str(self._request.settings.scene or ''),
             hits=tuple(text for _, text in self._client.hits.values()),

@@ -47,7 +47,7 @@ def estimate_command(options: argparse.Namespace) -> int:
     with ProgressBar(None if options.json else sys.stderr) as bar:
         told = bar.of('planning')
         found = estimate(stream, machine, settings, options.workers, told, (feed, rapid))
-    tell((*stream.read_as, *stream.notices))
+    tell((*stream.read_as, *stream.notices, *filter(None, [machine.guessed])))
     if found.other_speeds:
         speeds = ', '.join(f'{speed:g}' for speed in found.other_speeds)
         measured = machine.standstill.speed

@@ -234,7 +234,7 @@ def urdf_of(
     description = describe_machine(machine, bodies)
     robot = ElementTree.Element('robot', name=description.name)
     if machine.arm is not None and not bodies and not frames_only:
-        own = ElementTree.fromstring(machine.arm.urdf.read_text())
+        own = ElementTree.fromstring(machine.arm.urdf)
         if own.find('.//visual') is not None:
             for joint in description.joints:
                 if joint.child in (TOOL_TIP, WORKPIECE):

@@ -35,7 +35,7 @@ class Arm:
     joints: tuple[str, ...]  #: Names in the URDF.
     #: All its joints, parents before children, to ``tool_tip`` and ``workpiece`` too.
     tree: tuple[Joint, ...]
-    urdf: Path  #: Its URDF.
+    urdf: str  #: Its URDF.
     lines: FloatArray  #: (n, 6): Direction of each joint [-], and a point on it [m].
     #: (3, 3): Tip [m], side and axis of the tool [-]; the axis points away from the part.
     tool: FloatArray
@@ -46,7 +46,7 @@ class Arm:
 
 def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, ...]]:
     """Read what a machine file says of an arm; files that it names are in ``folder``."""
-    robot = _robot(content, folder)
+    text, robot = _robot(content, folder)
     elements = {joint.get('name', ''): joint for joint in robot.iter('joint')}
     parents = {_link(joint, 'child'): joint for joint in elements.values()}
     flange, base = _frame(content, 'flange'), _frame(content, 'base')
@@ -90,8 +90,7 @@ def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, .
         demand(frame not in known, f'has a link {frame}; rename it, this name is taken', 'urdf')
         place, turn = vector(pose[:3, 3]), angles(pose[:3, :3])
         tree.append(Joint(f'{carrier}_{frame}', 'fixed', carrier, frame, place, rpy=turn))
-    urdf = folder / str(content['urdf'])
-    joints = tuple(names), tuple(tree), urdf
+    joints = tuple(names), tuple(tree), text
     return Arm(*joints, np.array(lines), shape, home, spin, guessed), limits
 
 
@@ -125,16 +124,26 @@ def _tree(
     return found
 
 
-def _robot(content: dict[str, Any], folder: Path) -> ElementTree.Element:
+def without_files(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what a machine file says of an arm with the files that it names inside it."""
+    found = {**content, 'urdf': _robot(content, folder)[0]}
+    if isinstance(content.get('joint_limits'), str):
+        found['joint_limits'] = read_yaml(folder / content['joint_limits'])['joint_limits']
+    return found
+
+
+def _robot(content: dict[str, Any], folder: Path) -> tuple[str, ElementTree.Element]:
+    """Return the URDF as text, which the machine file names or holds, and its content."""
+    given = str(content['urdf'])
     try:
-        text = small_text(folder / str(content['urdf']), LONGEST_URDF)
+        text = given
+        if not given.lstrip().startswith('<'):
+            text = small_text(folder / given, LONGEST_URDF)
         if '<!ENTITY' in text:
             raise UnreadableError('it defines entities')
-        return ElementTree.fromstring(text)
+        return text, ElementTree.fromstring(text)
     except (OSError, UnreadableError, ElementTree.ParseError, ValueError) as problem:
-        raise MachineError(
-            f'{content["urdf"]}: cannot be read as URDF: {problem}', 'urdf'
-        ) from None
+        raise MachineError(f'{given[:80]}: cannot be read as URDF: {problem}', 'urdf') from None
 
 
 def _frame(content: dict[str, Any], key: str) -> str:

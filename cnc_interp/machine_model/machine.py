@@ -17,7 +17,7 @@ from cnc_interp.core import DEG, MINUTE, MM, UM, BoolArray, FloatArray, MachineE
 from cnc_interp.core.axis_limits import AxisLimits, DriveLoad, Limits
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml, write_whole
 from cnc_interp.machine_model import machine_entries as entries
-from cnc_interp.machine_model.arm_entries import Arm, arm
+from cnc_interp.machine_model.arm_entries import Arm, arm, without_files
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
     AxisDrive,
@@ -160,8 +160,8 @@ class Machine:
 
     def doubts(self) -> Iterator[str]:
         """Say which limits are guessed or likely in a wrong unit, one line for each axis."""
-        if self.arm is not None and self.arm.guessed:
-            yield f'limits of {self.name} are guessed: {", ".join(self.arm.guessed)}'
+        if self.guessed:
+            yield self.guessed
         for axis in self.axes:
             v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
             per_minute = v * MINUTE / axis.shown_size
@@ -177,6 +177,12 @@ class Machine:
                         f'{axis.name}: by the machine file it takes {v / a:.3g} s to its largest '
                         f'velocity, and {a / j:.3g} s to its acceleration; are the units right?'
                     )
+
+    @property
+    def guessed(self) -> str:
+        """Say which limits nobody has given, in one sentence; empty if all of them are known."""
+        guessed = () if self.arm is None else self.arm.guessed
+        return f'limits of {self.name} are guessed: {", ".join(guessed)}' if guessed else ''
 
     @property
     def driven(self) -> list[tuple[AxisDrive, DriveLoad | None]]:
@@ -397,19 +403,24 @@ def placed_machine(
     return Machine.load(file)
 
 
+def whole_text(name: str) -> str:
+    """Return the text of a machine file, with the files that it names inside it."""
+    found = find_machine_file(name)
+    content = read_yaml(found)
+    if 'urdf' not in content:
+        return found.read_text(encoding='utf-8')
+    return str(yaml.safe_dump(without_files(content, found.parent), sort_keys=False))
+
+
 def with_guessed_limits(name: str, file: Path) -> Machine:
     """Write the file of an arm whose missing limits are guessed; read it."""
     found = find_machine_file(name)
-    content = deepcopy(read_yaml(found))
+    content = read_yaml(found)
     demand(
         isinstance(content, dict) and 'urdf' in content,
         f'{found}: --limits guess is for arms; write the limits into the file',
     )
-    for key in ('urdf', 'joint_limits'):
-        if isinstance(content.get(key), str):
-            content[key] = str((found.parent / content[key]).resolve())
-    content['limits'] = 'guess'
-    _write(content, file)
+    _write({**without_files(content, found.parent), 'limits': 'guess'}, file)
     return Machine.load(file)
 
 

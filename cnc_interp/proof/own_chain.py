@@ -38,7 +38,9 @@ class OwnChain:
     def of(machine: Machine) -> OwnChain:
         file = find_machine_file(machine.file or machine.name)
         content = read_yaml(file)
-        robot = ElementTree.fromstring(small_text(file.parent / content['urdf'], LONGEST))
+        given = content['urdf']  # the name of a file, or all of it
+        text = given if '<' in given else small_text(file.parent / given, LONGEST)
+        robot = ElementTree.fromstring(text)
         above = {
             joint.find('child').attrib['link']: joint  # type: ignore[union-attr]
             for joint in robot.findall('joint')

@@ -182,6 +182,7 @@ def write_report(
         f'<p>machine {escape(machine.name)}, {"".join(machine.axis_names)}, '
         f'{proof.samples:,} setpoints every {proof.period * 1e3:g} ms</p>',
         _answer(proof, series, use),
+        f'<p>{escape(machine.guessed)}</p>' if machine.guessed else '',
         tiles(_figures(plan, proof, series)),
         _faults(proof),
     ]

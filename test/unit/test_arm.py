@@ -1,5 +1,6 @@
 """An arm from a URDF: its kinematics, a plan that is proven, and what is refused."""
 
+import csv
 import json
 import shutil
 
@@ -311,6 +312,27 @@ def test_a_plan_with_guessed_limits_says_so_whenever_it_is_proven(tmp_path, caps
     assert 'limits of ur10e are guessed: J1 acceleration, J1 jerk' in capsys.readouterr().err
     assert main(['check', out]) == 0
     assert 'guessed limits J1 acceleration, J1 jerk' in capsys.readouterr().out
+    assert main(['report', out]) == 0
+    told = 'limits of ur10e are guessed: J1 acceleration, J1 jerk'
+    assert told in (tmp_path / 'out/report.html').read_text()
+    capsys.readouterr()
+    machine = str(tmp_path / 'out/machine.yaml')
+    assert main(['estimate', str(tmp_path / 'part.apt'), '--machine', machine]) == 0
+    assert told in capsys.readouterr().err
+
+
+def test_a_batch_plans_and_proves_arms_and_names_guessed_limits(tmp_path):
+    shutil.copytree(arms_directory(), tmp_path, dirs_exist_ok=True)
+    (tmp_path / 'part.apt').write_text(PART)
+    content = yaml.safe_load((tmp_path / 'ur10e.yaml').read_text())
+    del content['joint_limits']
+    (tmp_path / 'mine.yaml').write_text(yaml.safe_dump(content | {'limits': 'guess'}))
+    given = ['batch', str(tmp_path / 'part.apt'), '--machine', str(tmp_path / 'mine.yaml')]
+    assert main([*given, 'm710ic_50', '--workers', '1', '--out', str(tmp_path / 'table')]) == 0
+    with (tmp_path / 'table/table.csv').open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row['verdict'] for row in rows] == ['proven', 'proven']
+    assert 'limits of ur10e are guessed: J1 acc' in rows[0]['notices']
 
 
 def test_spin_auto_is_faster_than_the_one_of_the_machine_file(tmp_path, capsys):

@@ -1,1 +1,1 @@
-"""Whether anything is hit: bodies of machine, tools, clamps and stock along the path q(s)."""
+"""Collision check: bodies of machine, tools, clamps and stock along the path q(s)."""

@@ -1,24 +1,24 @@
-"""Whether pairs of pieces keep their clearance along the path: the bound, and the descent.
+"""Check that pairs of pieces keep their clearance along the path: the bound, and the descent.
 
-In an interval (``enclosure.py``), seen from link B at the reference position q = c, a point x of A
-moves by the joints of ``link_poses.py`` one after the other. With unit vectors u_j along the axes
-and places o_j on them, senses sigma_j and any unit vector n, to first order
+Take an interval (``enclosure.py``) and look from link B at the reference position q = c. A point x
+of A then moves by the joints of ``link_poses.py``, one after the other. With unit vectors u_j
+along the axes, points o_j on them, senses sigma_j and any unit vector n, to first order
 
     n . x(t) = n . x + t (w . x + k)
     w = sum_rotary sigma_j a_j (n x u_j)
     k = sum_linear sigma_j a_j n . u_j - sum_rotary sigma_j a_j (n x u_j) . o_j
 
-which is linear in x: the axes are summed before anything is bounded, so that the large opposite
-motions of a tool-tip path cancel. What eps adds is at most ``res``. What higher orders add is at
-most ``rem``: the displacement D before a joint and its angle d, and d^2/2 by the joint alone. So
-the pieces stay apart along n by at least
+This is linear in x. The axes are summed before anything is bounded, so that the large opposite
+motions of a tool-tip path cancel. The terms in eps add at most ``res``, and higher orders add at
+most ``rem``. A joint with angle d contributes d D, where D is the displacement before it, and
+d^2/2 times its lever. So the pieces stay apart along n by at least
 
     -h_B(-n) - max(h_A(n + w) + k, h_A(n - w) - k) - res - rem,   and by  -h_B(-n) - h_A(n) - D.
 
-Interval, pair and n are a *certificate*: it holds or not, wherever n came from.
+Interval, pair and n form a *certificate*. Whether it holds does not depend on how n was found.
 
-The descent halves the path until every pair has certificates or a hit, the first half first. A
-pair with a certificate is not looked at in the halves.
+The descent halves the path until every pair has certificates or a hit; it visits the first half
+first. A pair with a certificate for an interval is skipped in its halves.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ from cnc_interp.collision.shapes import Pieces, support
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
-ROUNDING = 1e-9  #: What the bound allows for rounding [m].
-#: Pieces that move less are not divided in time any more. What is not clear then counts as hit: it
-#: is nearer than the clearance and a micrometre [m].
+ROUNDING = 1e-9  #: Allowance of the bound for rounding errors [m].
+#: An interval in which the pieces move less than this is not halved again [m]. If it has no
+#: certificate, it counts as a hit: the pieces are nearer than the clearance plus a micrometre.
 STILL = 0.4e-6
-#: Columns of the joints between two links: direction, place, a with its sense, eps, 1 of a line.
+#: Columns of a joint between two links: direction, a point on the axis, signed a, eps, and 1 for
+#: a linear axis.
 U, O, A, EPS, LINEAR, WIDTH = 0, 3, 6, 7, 8, 9
 MOST_JOINTS = 12
 
@@ -49,11 +50,11 @@ class Route(NamedTuple):
 
     s: FloatArray  #: (N,): Path length at the ends of its cells [m].
     bezier: FloatArray  #: (N - 1, n_axes, 8): Bezier values of the axes [m, rad].
-    line_end: FloatArray  #: (N - 1,): Path length at which the program line of a cell ends [m].
+    line_end: FloatArray  #: (N - 1,): Path length where the program line of each cell ends [m].
 
 
 class Space(NamedTuple):
-    """What can hit: pieces, the links that carry them, and the clearance of their bodies."""
+    """All that can collide: pieces, the links that carry them, and the clearances of bodies."""
 
     pieces: Pieces
     chain: Chain
@@ -67,14 +68,15 @@ class Space(NamedTuple):
 class Found(NamedTuple):
     """What a descent found, row by row."""
 
-    span: FloatArray  #: (n, 2): Begin and end of each certificate [m].
-    pair: IntArray  #: (n, 2): Its pieces.
-    normal: FloatArray  #: (n, 3): Its unit vector from A to B, in the frame of the link of B [-].
-    #: (m, 9): Hits: begin and end of the stretch of the line that is not looked at any more [m],
-    #: distance there [m], witness points of A and of B, each in the frame of its link [m].
+    span: FloatArray  #: (n, 2): Path length at begin and end of each certificate [m].
+    pair: IntArray  #: (n, 2): The two pieces of each certificate.
+    #: (n, 3): Unit vector of each from A to B, in the frame of the link of B [-].
+    normal: FloatArray
+    #: (m, 9): Hits: path length at begin and end of the stretch that is then skipped, distance,
+    #: witness points of A and of B, each in the frame of its link [m].
     hit: FloatArray
     hit_pair: IntArray  #: (m, 2): The pieces that hit.
-    effort: IntArray  #: (2,): Number of intervals, and of tests of pairs.
+    effort: IntArray  #: (2,): Number of intervals visited, and of pairs tested.
 
 
 @njit(cache=True, nogil=True)
@@ -119,7 +121,7 @@ def joints_between(
 def displaced(
     joints: FloatArray, count: int, centre: tuple[float, float, float], radius: float
 ) -> tuple[float, float]:
-    """Return D and rem of a ball: how far it moves, and what orders above the first add [m]."""
+    """Return D and rem of a ball: how far it moves, and how much higher orders can add [m]."""
     way, rest = 0.0, 0.0
     for j in range(count):
         row = joints[j]
@@ -163,7 +165,7 @@ def gap(
     count: int,
     n: tuple[float, float, float],
 ) -> float:
-    """Return how far two pieces stay apart along n in the whole interval, at least [m].
+    """Return a lower bound of the gap between two pieces along n in the whole interval [m].
 
     ``pose`` (12,): the link of A in the frame of that of B, at the reference position.
     """
@@ -210,10 +212,10 @@ def descend(
     until: FloatArray,
     most_hits: int,
 ) -> Found:
-    """Find certificates or hits of pairs of pieces, (k, 2), on cells from one to before another.
+    """Find certificates or hits of pairs of pieces, (k, 2), in the cells [first, last).
 
-    ``until`` (bodies, bodies): path length up to which a pair of bodies is known to hit, which the
-    descent brings up to date [m]. It ends after ``most_hits``.
+    ``until`` (bodies, bodies): path length up to which a pair of bodies is known to hit; the
+    descent updates it [m]. The descent ends after ``most_hits`` hits.
     """
     pieces, chain, s = space.pieces, space.chain, route.s
     n_links, n_axes = len(chain.parent), route.bezier.shape[1]

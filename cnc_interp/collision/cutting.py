@@ -1,7 +1,7 @@
-"""What a tool does to a field of the stock in a piece of motion: it cuts, or it meets material.
+"""Pass a tool over a field of the stock in a piece of motion: cut material, or look for contact.
 
-Blocks of lines know their lowest and highest material, so that a slab skips those that it cannot
-meet. A line without material where a cylinder around the slab may meet it is skipped, too.
+Each block of lines stores its lowest and highest material, so blocks that a slab cannot meet are
+skipped. A line is also skipped if it has no material near a cylinder around the slab.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from cnc_interp.collision.stock import BLOCK, STEEP, Field, note_span, roomy
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
-#: What passing a tool over a field does: cut it; find the blocks that it may meet; return the
-#: length of the first material that it meets on a line, or the greatest one.
+#: What a pass over a field does: CUT removes material, and FIND marks the blocks that the tool may
+#: meet. MEET returns the first length of material met on a line, MOST the greatest one.
 CUT, FIND, MEET, MOST = 0, 1, 2, 3
 
 
@@ -26,7 +26,7 @@ class Mills(NamedTuple):
     """The slabs of several tools."""
 
     slabs: FloatArray  #: (n, SLAB).
-    first: IntArray  #: First slab of each tool, by its number, and how many there are.
+    first: IntArray  #: Index of the first slab of each tool number; the last entry is the total.
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -37,7 +37,7 @@ def of_tool(mills: Mills, tool: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _remove(ends: FloatArray, used: IntArray, i: int, j: int, low: float, high: float) -> float:
-    """Take an interval out of a line; return how much material was in it, -1 if it is full."""
+    """Remove an interval from a line; return the material removed [m], -1 if the line is full."""
     count, kept, removed = used[i, j], 0, 0.0
     for k in range(count):
         begin, end = ends[i, j, k, 0], ends[i, j, k, 1]
@@ -64,7 +64,7 @@ def _remove(ends: FloatArray, used: IntArray, i: int, j: int, low: float, high: 
 
 @njit(cache=True, nogil=True)
 def overlap(ends: FloatArray, used: IntArray, i: int, j: int, low: float, high: float) -> float:
-    """Return how much material of a line is in an interval [m]."""
+    """Return the length of material of a line within an interval [m]."""
     found = 0.0
     for k in range(used[i, j]):
         found += max(min(high, ends[i, j, k, 1]) - max(low, ends[i, j, k, 0]), 0.0)
@@ -96,7 +96,7 @@ def _pass_slab(
     number: int,
     act: int,
 ) -> float:
-    """Pass a slab over the lines of a field; return the length that ``act`` is about [m]."""
+    """Pass a slab over the lines of a field; return the length that ``act`` defines [m]."""
     ball, r0, r1, height = slab
     least_u, most_u = _extent(0, slab, c, a, v)
     least_v, most_v = _extent(1, slab, c, a, v)
@@ -186,12 +186,12 @@ def pass_over(
     number: int,
     act: int,
 ) -> tuple[float, int]:
-    """Pass slabs over the lines of a field in a piece of motion, in u, v and w.
+    """Pass slabs over the lines of a field in a piece of motion ``row``, given in u, v and w.
 
-    ``step``: how far the ends of a slab may turn away from its translation, or else the slab is
-    divided [m]; 0: slabs are not divided, but grown by all that they may leave of their motion.
-    ``number``: of the piece of motion; it cuts wanted blocks that have not been cut by it.
-    Returns the length that ``act`` is about, summed up when cutting [m], and the slab it is of.
+    ``step``: a slab is divided if turning moves its ends farther than this from its translation
+    [m]. With 0, slabs are not divided; they are grown by their largest deviation instead.
+    ``number``: index of the piece; CUT skips blocks that this piece has already cut.
+    Returns the length that ``act`` defines, for CUT its sum over all lines [m], and its slab.
     """
     total, which = 0.0, -1
     a0, a1, a2 = row[AXIS], row[AXIS + 1], row[AXIS + 2]
@@ -228,7 +228,7 @@ def pass_over(
 
 @njit(cache=True, nogil=True)
 def freshen(field: Field, mills: Mills, rows: FloatArray, step: float) -> None:
-    """Cut the blocks that are wanted by all pieces of motion so far, (n, MOTION)."""
+    """Cut the blocks marked as wanted with all pieces of motion so far, (n, MOTION)."""
     low_u, low_v, pitch = field.place
     box, first = (field.done.shape[0], -1, field.done.shape[1], -1), len(rows)
     for bi in range(field.done.shape[0]):
@@ -255,7 +255,7 @@ def freshen(field: Field, mills: Mills, rows: FloatArray, step: float) -> None:
 def _beside(
     row: FloatArray, slabs: FloatArray, middle: tuple[float, float], room: tuple[float, float]
 ) -> bool:
-    """Return whether a tool surely stays beside a rectangle of so much room around a middle."""
+    """Return whether a tool surely misses a rectangle: its middle, and half its sides [m]."""
     low, high, wide = slabs[0, Z0], slabs[-1, Z1], slabs[:, R1].max()
     for k in range(2):
         at = middle[k] - row[TIP + k]
@@ -267,7 +267,7 @@ def _beside(
 
 
 def in_field(field: Field, rows: FloatArray) -> FloatArray:
-    """Return pieces of motion in u, v and w of a field."""
+    """Return pieces of motion with their vectors in the coordinates u, v, w of a field."""
     turned = rows.copy()
     for first in (TIP, AXIS, MOVE, TURN):
         turned[:, first : first + 3] = np.roll(rows[:, first : first + 3], 2 - field.axis, axis=1)
@@ -275,6 +275,6 @@ def in_field(field: Field, rows: FloatArray) -> FloatArray:
 
 
 def cut_by(field: Field, rows: FloatArray, mills: Mills, step: float) -> Field:
-    """Cut a field by pieces of motion, (n, MOTION); return it with the room for that."""
+    """Cut a field with pieces of motion, (n, MOTION); return it, enlarged if lines were full."""
     field.wanted[:] = 1
     return roomy(field, freshen, mills, in_field(field, rows), step)

@@ -1,4 +1,4 @@
-"""Triangles of the bodies of a scene: what the page, RViz and URDF draw, and STL files of them."""
+"""Triangles of the bodies of a scene, which the page, RViz and URDF draw; also as STL files."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ AROUND = 24  #: Points on the rim of a disc.
 
 @dataclass(frozen=True, eq=False)
 class DrawnBody:
-    name: str  #: Its name in the scene, which hits name too.
+    name: str  #: Its name in the scene; reports of hits use it too.
     link: str  #: Link of the machine that carries it.
     role: Role
-    tool: int  #: Number of the tool that it belongs to; 0: always there.
+    tool: int  #: Number of the tool that it belongs to; 0 if it is always present.
     triangles: FloatArray  #: (m, 3, 3): Surface in the frame of the link, seen from outside [m].
 
     def stl(self) -> bytes:
@@ -40,7 +40,7 @@ def drawn_bodies(scene: Scene, machine: Machine) -> Iterator[DrawnBody]:
 
 
 def surface(piece: Piece, around: int = AROUND) -> FloatArray:
-    """Return triangles of a convex piece, with rims of so many points, (m, 3, 3) [m]."""
+    """Return triangles of a convex piece, (m, 3, 3) [m]; rims of discs become polygons."""
     points = rim_points(piece.discs, piece.along, piece.round, around)
     hull = ConvexHull(points)
     corners = points[hull.simplices]
@@ -55,7 +55,7 @@ def rim_points(
     round: float,  # noqa: A002
     around: int = AROUND,
 ) -> FloatArray:
-    """Return points whose hull is a piece, for a drawing, (k, 3) [m]."""
+    """Return points whose convex hull approximates a piece, for a drawing, (k, 3) [m]."""
     side = np.linalg.svd(along[None, :])[2][1:]
     angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
     rim = np.cos(angle)[:, None] * side[0] + np.sin(angle)[:, None] * side[1]

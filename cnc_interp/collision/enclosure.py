@@ -1,11 +1,12 @@
-"""The path in an interval: every axis near a chord, with a bound of how far it leaves it.
+"""Enclose the path in an interval: every axis lies near a chord, within a known bound.
 
-With t in [-1, 1] along the interval of s, axis j keeps
+With t in [-1, 1] along the interval of s, axis j satisfies
 
     q_j(s) = c_j + a_j t + e_j,    |e_j| <= eps_j
 
-where c + a t is the chord between the ends of the interval. A septic lies between its Bezier
-values, and so does what it leaves the chord by, which is a septic, too.
+where c + a t is the chord between the ends of the interval. A septic lies between the least and
+the greatest of its Bezier values. Its deviation from the chord is also a septic, so the same
+holds.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def enclose(
 ) -> None:
     """Write c, a and eps of all axes, (3, n_axes), for s from begin to end [m].
 
-    ``first`` to ``last``: the cells that the interval meets.
+    ``first`` and ``last``: the first and last cell that the interval meets.
     """
     n = bezier.shape[1]
     values = np.empty(DEGREE + 1)

@@ -1,8 +1,8 @@
-"""The stock along the path: what pieces of motion cut, and what meets remaining material.
+"""The stock along the path: the tool cuts it, and contacts with remaining material are listed.
 
-Two fields are cut. The nominal one tells volumes, and where the mill of a rapid enters material.
-The other one, cut with a mill reduced by half the diagonal of a cell, contains all that is left.
-Holder and shank must keep their clearance from it. It is cut only where they come near.
+Two fields are cut. The nominal one gives volumes, and shows where a rapid enters material.
+The outer one surely contains all that is left: its mill is reduced by half the diagonal of a cell.
+Holder and shank must keep their clearance from the outer field, which is cut only near them.
 """
 
 from __future__ import annotations
@@ -45,24 +45,24 @@ from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.joint import TOOL_TIP
 
-#: What pieces of motion may leave of the true one, as a share of the width of a cell [-].
+#: Largest deviation of pieces of motion from the true one, as a share of the width of a cell [-].
 LOST = 0.25
-#: A rapid hits where it enters material deeper than so many times that, because wall and mill of
-#: a pocket that was just cut touch each other [-].
+#: A rapid is a hit if it enters material deeper than this multiple of that deviation. The margin
+#: is needed because the mill touches the walls of a pocket that it has just cut [-].
 ENTERS = 1.5
-ATOM = 0.125  #: Share of that which short pieces may leave, before they are joined [-].
+ATOM = 0.125  #: Share of that deviation for short pieces, before they are joined [-].
 Spans = list[tuple[float, float]]
-#: Where a body meets remaining material: path length of the first contact in its line [m], number
-#: of the body in the scene and of its slab, longest stretch of a line of the field in it [m].
+#: A contact with remaining material: path length where it begins in its program line [m], number
+#: of the body in the scene, number of its slab, and longest stretch of a field line inside it [m].
 Contact = tuple[float, int, int, float]
 
 
 class Tools(NamedTuple):
-    """The slabs of all tools, as each use needs them."""
+    """The slabs of all tools, in the four sizes that are needed."""
 
     mill: Mills
-    entering: Mills  #: The mills, reduced by what they may enter in rapids.
-    reduced: Mills  #: The mills that leave at least what remains.
+    entering: Mills  #: The mills, reduced by the depth that rapids may enter.
+    reduced: Mills  #: The mills, reduced so that they leave no less material than the true ones.
     guard: Mills  #: Shanks and holders, grown by their clearance.
 
 
@@ -78,7 +78,7 @@ class CutStock:
         self.field = field_of(self.body, 2, self.pitch, shifted=True)
         self.field.wanted[:] = 1
         self.whole = volume(self.field)  #: Volume before anything is cut [m3].
-        self._left: Field | None = None  # what contains all that is left
+        self._left: Field | None = None  # the outer field
         self._owners: list[tuple[int, int]] = []  # of the slabs of guards
         self._tools = Tools(
             self._mills(lambda _: 0.0, cutter=True),
@@ -91,17 +91,17 @@ class CutStock:
 
     @property
     def rows(self) -> FloatArray:
-        """The pieces of motion that have cut, (n, MOTION)."""
+        """The pieces of motion that have been cut so far, (n, MOTION)."""
         return self._rows[: self._count]
 
     def figures(self) -> dict[str, Any]:
-        """Return the width of a cell [m], volumes at first and removed [m3], number of pieces."""
+        """Return the cell width [m], initial and removed volume [m3], and number of pieces."""
         removed = float(self.rows[:, REMOVED].sum())
         own = {'grid': self.pitch, 'volume': self.whole, 'removed': removed}
         return own | {'pieces': len(self.rows)}
 
     def _mills(self, grown: Callable[[int], float], cutter: bool) -> Mills:
-        """Return the slabs of cutters, or of all else on the tools, grown by so much."""
+        """Return the slabs of cutters, or of shanks and holders; ``grown`` by body number [m]."""
         bodies, slabs, first = self._placed.scene.bodies, [np.empty((0, SLAB))], [0]
         for number in range(max(self._placed.scene.tools) + 1):
             for k, body in enumerate(bodies):
@@ -120,9 +120,10 @@ class CutStock:
         rapid: bool,
         near: Mapping[int, Spans],
     ) -> list[Contact]:
-        """Follow cells from one to before another, all rapids or all feeds.
+        """Cut along cells [first, last), all rapids or all feeds, and return the contacts.
 
-        ``near``: where bodies of the tool may meet the stock, and are checked.
+        ``near``: for each body of the tool, the path lengths where it is checked against the
+        stock.
         """
         bodies = self._placed.scene.bodies
         mine = [k for k, body in enumerate(bodies) if body.tool == tool and tool]
@@ -159,9 +160,10 @@ class CutStock:
         return contacts
 
     def _sizes(self, tool: int) -> FloatArray:
-        """Return the height of the middle of a ball around the mill and one around the tool.
+        """Return the sizes of the mill and of the whole tool, row by row, (2, 4) [m].
 
-        With it, the radius of the ball, the largest one of the tool, that of a flat end, (2, 4).
+        Columns: height of the middle of a ball around it, radius of that ball, largest radius of
+        the tool, and radius of its flat end.
         """
         found = []
         mill = of_tool(self._tools.mill, tool)
@@ -183,27 +185,28 @@ class CutStock:
         return removal, {'line': line, 'interval': self.field.ends[there]}
 
     def field_along(self, axis: int) -> Field:
-        """Return what is left on unshifted lines along an axis."""
+        """Return the remaining material as a field of unshifted lines along an axis."""
         return self.cut(field_of(self.body, axis, self.pitch, shifted=False), self.rows)
 
     def cut(self, field: Field, rows: FloatArray) -> Field:
-        """Return a field cut by pieces of motion, but for those that have cut it already."""
+        """Return a field cut with pieces of motion; those that it has had already are skipped."""
         step = 0.5 * LOST * float(field.place[2])
         return cut_by(field, rows, self._tools.mill, step)
 
 
 def _meets(rows: FloatArray, spans: Spans) -> BoolArray:
-    """Return which pieces of motion meet spans of the path."""
+    """Return which pieces of motion overlap any of the spans of the path."""
     begin, end = np.sort(np.array(spans).reshape(-1, 2), axis=0).T
     begun = np.searchsorted(begin, rows[:, END], 'left')
     return np.asarray(begun > np.searchsorted(end, rows[:, BEGIN], 'right'))
 
 
 class ToolMotions(NamedTuple):
-    """Pieces of motion in order, of one tool."""
+    """Pieces of motion of one tool, in order."""
 
     motions: FloatArray
-    #: (n, 2): Whether the mill must not enter the first field; shank and holder, the second.
+    #: (n, 2): Whether the mill is checked against the nominal field, and whether shank and holder
+    #: are checked against the outer one.
     watched: BoolArray
     cuts: bool
 
@@ -218,29 +221,35 @@ def follow(
     going: tuple[int, float],
     clear_from: FloatArray,
 ) -> tuple[int, FloatArray, FloatArray, int]:
-    """Follow pieces of motion in order: check those that are watched, and cut.
+    """Go through pieces of motion in order: check those that are watched, and cut.
+
+    A piece with a contact is divided. Its first half comes first, because cutting along it may
+    clear the second half.
 
     Parameters
     ----------
     fields : tuple
-        The nominal field, and the one that contains all that is left.
+        The nominal field and the outer one.
     pieces : ToolMotions
-        What is not clear is divided, its first half first, because cutting may clear the second.
+        The pieces of motion, with the checks that each of them needs.
     past : tuple
-        The pieces that have cut so far, and their number.
+        The pieces that have been cut so far, and their number.
     going : tuple
-        The piece to begin with, and how far the ends of slabs may turn [m].
+        The piece to begin with, and the ``step`` of ``pass_over`` [m].
     clear_from : ndarray, shape (2,)
-        Path lengths from which on contacts are listed, which it brings up to date [m].
+        Path length from which on contacts of the mill, and of shank and holder, are listed [m].
+        It is updated in place.
 
     Returns
     -------
     int
-        The piece that is next. Not the last one: a line is full; give it room and go on.
+        The piece to continue with. If pieces are left, a line of a field is full: enlarge the
+        field and call again.
     ndarray
-        Rows of hits: path length, 1 of shank or holder, its slab, longest material in it [m].
+        Rows of hits: path length, 0 for the mill or 1 for shank and holder, slab, and longest
+        stretch of material inside it [m].
     ndarray, int
-        The pieces that have cut so far, and their number.
+        The pieces that have been cut so far, and their number.
 
     """
     motions, watched, cuts = pieces
@@ -299,7 +308,7 @@ def _met(
     which: int,
     step: float,
 ) -> bool:
-    """Return whether slabs meet a field, the second one once it is cut where they may meet it."""
+    """Return whether slabs meet a field; the outer field is first cut near them."""
     if which == 0:
         return pass_over(fields[0], guard, row, step, 0, MEET)[0] > 0.0
     if pass_over(fields[1], guard, row, 0.0, 0, MEET)[0] == 0.0:

@@ -1,8 +1,8 @@
-"""The nearest points of two convex pieces, to propose normals; nothing is decided by them alone.
+"""Nearest points of two convex pieces. They propose normals; certificates then decide.
 
-Wolfe's minimum-norm point of the difference A - B [Wolfe1976]_, which is the algorithm of Gilbert,
-Johnson and Keerthi [GJK1988]_ where at most four points are kept. The pieces count without their
-rounding; that of both is taken off afterwards.
+The method is Wolfe's minimum-norm point of the difference A - B [Wolfe1976]_. With at most four
+points kept, it is the algorithm of Gilbert, Johnson and Keerthi [GJK1988]_. It treats both pieces
+without their rounding radii and subtracts these from the distance afterwards.
 """
 
 from math import sqrt
@@ -15,7 +15,7 @@ from cnc_interp.core import FloatArray
 from cnc_interp.core.kernels import njit
 
 MOST_STEPS = 60
-EXACT = 1e-7  #: Relative difference at which the distance counts as found [-].
+EXACT = 1e-7  #: Relative difference at which the iteration ends [-].
 INSIDE = 1e-12  #: Pieces nearer than this overlap [m].
 NOTHING = 1e-12  #: Points with a smaller weight are dropped [-].
 

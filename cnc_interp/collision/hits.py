@@ -1,4 +1,4 @@
-"""What hits: the line, both pieces, by how much they are too near, and where."""
+"""A hit: the program line, both pieces, by how much they are too near, and where."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from cnc_interp.core import MM, BlockError, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine, place_text
 
-BETTER = 1e-9  #: A direction that adds less to a depth is no better [m].
-PLACES = 33  #: Places along a hit at which distances are measured, evenly and from its begin on.
+BETTER = 1e-9  #: Smallest gain in depth for which another direction is taken [m].
+PLACES = 33  #: Half the number of places along a hit at which distances are measured.
 FIRST_PLACE = 1e-5  #: Path length from the begin of a hit to the next place [m].
-DEPTHS = 5  #: Places among those at which the depth of overlapping pieces is measured, at most.
-DIRECTIONS = 200  #: Directions in which the depth of overlapping pieces is tried at first.
+DEPTHS = 5  #: Largest number of these places at which the depth of overlapping pieces is measured.
+DIRECTIONS = 200  #: Number of directions with which the search for the depth of an overlap begins.
 
 
 class CollisionError(BlockError):
@@ -35,7 +35,7 @@ class CollisionError(BlockError):
 
 
 class CollisionsError(CollisionError):
-    """A program hits something in one line or several; the attributes are of the first hit."""
+    """A program hits something in one or more lines; the attributes describe the first hit."""
 
     def __init__(self, hits: list[Hit], machine: Machine, source: str):
         texts = [hit.text(machine) for hit in hits]
@@ -50,15 +50,15 @@ class CollisionsError(CollisionError):
 @dataclass(frozen=True)
 class Hit:
     line: int  #: Line of the program.
-    #: Names of both pieces, and of the bodies that they belong to.
+    #: Names of both pieces; ``bodies`` names the bodies that they belong to.
     names: tuple[str, str]
     bodies: tuple[str, str]
-    #: By how much both pieces come nearer than their clearance in the rest of the line, at least
-    #: at the places that ``least_apart`` looks at [m].
+    #: Clearance minus the least distance of both pieces in the rest of the line, at the places
+    #: that ``least_apart`` measures. With ``material``, the length of the contact [m].
     short: float
-    s: float  #: Path length where they first do [m].
+    s: float  #: Path length where the hit begins [m].
     q: tuple[float, ...]  #: Axis positions there [m, rad].
-    material: bool = False  #: It enters remaining material, on so long a way.
+    material: bool = False  #: Whether the tool enters remaining material.
 
     def to_json(self, machine: Machine) -> dict[str, Any]:
         return {
@@ -79,9 +79,9 @@ class Hit:
 
 @njit(cache=True, nogil=True)
 def apart(space: Space, a: int, b: int, pose: FloatArray, rel: FloatArray) -> float:
-    """Return the distance of two pieces [m]; less than 0 where they overlap, by their depth.
+    """Return the distance of two pieces [m]; if they overlap, minus the depth of the overlap.
 
-    The depth is that of the best of many directions, so it is never too small.
+    The depth is the smallest found over many directions, so it is never too small.
     """
     pieces = space.pieces
     relative_pose(pose[pieces.link[b]], pose[pieces.link[a]], rel)
@@ -122,10 +122,10 @@ def _along(space: Space, a: int, b: int, rel: FloatArray, n: tuple[float, float,
 
 @njit(cache=True, nogil=True)
 def least_apart(space: Space, route: Route, a: int, b: int, begin: float, end: float) -> float:
-    """Return the least distance of two pieces at places of a stretch [m]; below 0: their depth.
+    """Return the least distance of two pieces at places of a stretch [m]; minus the depth below 0.
 
-    Half of the places are even, and half come nearer and nearer to the begin, so that a contact
-    that is short for its line is measured, too.
+    Half of the places are evenly spaced. The other half become denser towards the begin, so that
+    a contact much shorter than its line is measured too.
     """
     pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
     q, out, least = np.empty(route.bezier.shape[1]), np.empty(9), 1e300
@@ -158,7 +158,7 @@ def pose_at(space: Space, route: Route, at: float, q: FloatArray, pose: FloatArr
 
 @njit(cache=True, nogil=True)
 def bodies_apart(space: Space, roots: IntArray, pose: FloatArray) -> float:
-    """Return the least distance of pairs of pieces, (k, 2), with all their parts [m]."""
+    """Return the least distance over pairs of pieces, (k, 2), down to their smallest parts [m]."""
     rel, waiting, best = np.empty(12), [(roots[0, 0], roots[0, 1])], 1e300
     for k in range(1, len(roots)):
         waiting.append((roots[k, 0], roots[k, 1]))
@@ -178,9 +178,9 @@ def bodies_apart(space: Space, roots: IntArray, pose: FloatArray) -> float:
 def nearest_along(
     space: Space, route: Route, cells: IntArray, roots: IntArray, best: float
 ) -> tuple[float, int, int]:
-    """Return the least distance at the begin of cells, if it is less than ``best``, or ``best``.
+    """Return the least distance at the begins of cells, or ``best`` if that is smaller [m].
 
-    With it, the row of ``roots`` and the cell where it is; -1 where nothing is nearer.
+    Returned with it: the row of ``roots`` and the cell where it occurs, or -1, -1.
     """
     pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
     q, out, pieces = np.empty(route.bezier.shape[1]), np.empty(9), space.pieces

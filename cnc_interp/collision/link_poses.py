@@ -1,8 +1,8 @@
-"""Where the links of a machine are, and which joints lie between two of them.
+"""Poses of the links of a machine, and the joints between two links.
 
 Poses are those of ``machine_model/links.py``, in the machine frame M. Seen from link B, a point of
-link A moves by the joints of A up to the link that carries both (sense +1, from the point on), and
-then by those of B downwards (sense -1).
+link A moves by the joints from A up to the link that carries both (sense +1), and then by the
+joints from that link down to B (sense -1).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Chain(NamedTuple):
 
     parent: IntArray  #: (n,): Link that carries each link; -1 of the base.
     axis: IntArray  #: (n,): Axis of the joint before each link; -1 of a fixed one.
-    linear: IntArray  #: (n,): 1 where that axis is linear.
+    linear: IntArray  #: (n,): 1 if that axis is linear, else 0.
     origin: FloatArray  #: (n, 3): Origin of the link in the frame of its parent [m].
     along: FloatArray  #: (n, 3): Direction of the axis [-].
     turn: FloatArray  #: (n, 3, 3): How the link is turned in its parent, with the axis at zero.
@@ -48,7 +48,7 @@ def chain_of(machine: Machine) -> tuple[Chain, tuple[str, ...]]:
 
 
 def steps_between(chain: Chain, a: int, b: int) -> list[tuple[int, float]]:
-    """Return the links whose joints lie between two links, with their sense, from a on."""
+    """Return the links whose joints lie between links a and b, with their sense, from a on."""
     up, down = _to_base(chain, a), _to_base(chain, b)
     while up and down and up[-1] == down[-1]:
         up.pop()
@@ -93,7 +93,7 @@ def placed_turn(pose: FloatArray, turn: FloatArray) -> FloatArray:
 def pose_links(chain: Chain, q: FloatArray, pose: FloatArray) -> None:
     """Write rotation and origin in M of every link at axis positions q, (n, 12) [-, m].
 
-    The origin lies on the axis of the joint before the link, which the joint itself keeps.
+    The origin lies on the axis of the joint before the link, so that joint does not move it.
     """
     pose[0, :] = 0.0
     pose[0, 0] = pose[0, 4] = pose[0, 8] = 1.0
@@ -128,7 +128,7 @@ def pose_links(chain: Chain, q: FloatArray, pose: FloatArray) -> None:
 
 @njit(cache=True, nogil=True, inline='always')
 def turned(pose: FloatArray, v: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return a vector of a link in M; ``pose`` (12,) of the link."""
+    """Return in M a vector given in the frame of a link; ``pose`` (12,): of the link."""
     return (
         pose[0] * v[0] + pose[1] * v[1] + pose[2] * v[2],
         pose[3] * v[0] + pose[4] * v[1] + pose[5] * v[2],
@@ -138,7 +138,7 @@ def turned(pose: FloatArray, v: tuple[float, float, float]) -> tuple[float, floa
 
 @njit(cache=True, nogil=True, inline='always')
 def turned_back(pose: FloatArray, v: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return a vector of M in the frame of a link."""
+    """Return in the frame of a link a vector given in M."""
     return (
         pose[0] * v[0] + pose[3] * v[1] + pose[6] * v[2],
         pose[1] * v[0] + pose[4] * v[1] + pose[7] * v[2],

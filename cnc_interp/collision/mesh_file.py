@@ -1,4 +1,4 @@
-"""Triangles of STL and STEP files, as they are, and whether they close a solid."""
+"""Read the triangles of STL and STEP files, and check that they close a solid."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from cnc_interp.core import MM, FloatArray, InterpError
 
-#: Header of a binary STL file, and one triangle: normal, three corners, and two bytes of nothing.
+#: Bytes of the header of a binary STL file; record of a triangle: normal, corners, unused bytes.
 HEADER = 84
 TRIANGLE = np.dtype([('normal', '<f4', 3), ('corners', '<f4', (3, 3)), ('rest', '<u2')])
 LARGEST_FILE = 1 << 28  #: [bytes]
-WELDED = 1e-9 * MM  #: Corners of STEP faces nearer than this are one [m].
+WELDED = 1e-9 * MM  #: Corners of STEP faces nearer than this are merged [m].
 
 
 class SceneError(InterpError):
@@ -98,7 +98,7 @@ def _step_triangles(file: Path, chord: float) -> FloatArray:
 
 
 def _closed(file: Path, corners: FloatArray) -> FloatArray:
-    """Return the triangles with three different corners, if they close a solid."""
+    """Return the triangles without degenerate ones; raise SceneError unless they close a solid."""
     _, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     face = number.reshape(-1, 3)
     flat = (face == np.roll(face, 1, axis=1)).any(axis=1)

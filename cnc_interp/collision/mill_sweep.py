@@ -1,14 +1,14 @@
-"""What a moving tool sweeps on a line of the stock: one interval, in closed form.
+"""The interval that a moving tool sweeps on a line of the stock, in closed form.
 
 A tool is a stack of slabs, each a frustum or a ball. In a piece of motion a slab moves by its own
-translation v, from -v to v about the middle of the piece, so what it sweeps is convex and meets a
-line in one interval. The ends of the interval lie on
+translation v, from -v to v about the middle of the piece. The swept region is convex, so it meets
+a line in one interval. The ends of the interval lie on
 
 - the frustum at either end of the motion,
 - either end disc, moved along v,
-- the two flat strips that the generators with n . v = 0 leave; n is their outward normal.
+- the two flat strips swept by the generators with n . v = 0, where n is their outward normal.
 
-The least and the greatest of their intersections with the line are the interval.
+The interval extends from the least to the greatest intersection of these with the line.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from cnc_interp.collision.scene import Body, Role
 from cnc_interp.core import FloatArray
 from cnc_interp.core.kernels import njit
 
-TURNS = 8  #: Frusta that stand for the corner radius of a mill.
+TURNS = 8  #: Number of frusta that approximate the corner radius of a mill.
 FAR = 1e9  #: Beyond every line [m].
-TINY = 1e-12  #: A direction with less is normal to another one [-].
-FLAT = 1e-6  #: Share of a translation below which it lies in the plane of a disc [-].
-#: Columns of a slab, heights from the tip: 1 of a ball, lower height and radius, upper ones [m].
+TINY = 1e-12  #: Below this component two directions count as normal to each other [-].
+FLAT = 1e-6  #: A translation whose normal share is below this lies in the plane of a disc [-].
+#: Columns of a slab: 1 for a ball, lower height and radius, upper height and radius [m]. Heights
+#: count from the tip.
 BALL, Z0, R0, Z1, R1, SLAB = 0, 1, 2, 3, 4, 5
-#: A flat strip: where its generator begins, from the middle of the base; the inverse of what its
-#: share and that of the motion do in u and v; and how far the generator goes along w.
+#: A flat strip: begin of its generator, from the middle of the base (3); the inverse of the matrix
+#: from shares of generator and motion to u and v (4); extent of the generator along w (1).
 Strip = tuple[float, float, float, float, float, float, float, float]
 NOWHERE = (FAR, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)  #: A strip that no line meets.
 
 
 def slabs_of(body: Body, grown: float = 0.0) -> FloatArray:
-    """Return the slabs of a part of a tool, grown by so much, (n, 5); below 0: a smaller one.
+    """Return the slabs of a part of a tool, (n, 5), grown by ``grown`` [m], or shrunk if negative.
 
-    A part that grows becomes larger than that by a little, and one that shrinks smaller.
+    The result errs on the safe side: parts grow, or shrink, by slightly more than ``grown``.
     """
     if body.role is not Role.CUTTER:
         cones = [piece.discs[:, 2:].T for piece in body.pieces]
@@ -58,7 +59,7 @@ def slabs_of(body: Body, grown: float = 0.0) -> FloatArray:
 
 
 def _offset(height: FloatArray, width: FloatArray, grown: float) -> FloatArray:
-    """Return slabs between the corners of a convex profile whose lines move out by ``grown``."""
+    """Return the slabs of a convex profile after its lines have moved outwards by ``grown``."""
     slope = np.diff(width) / np.diff(height)
     at = height.copy()
     at[0], at[-1] = height[0] - grown, height[-1] + grown
@@ -74,7 +75,7 @@ def _offset(height: FloatArray, width: FloatArray, grown: float) -> FloatArray:
 
 @njit(cache=True, nogil=True, inline='always')
 def _within(a: float, b: float, c: float, low: float, high: float) -> tuple[float, float]:
-    """Return the part of an interval in which a t^2 + 2 b t + c <= 0, if it is one interval."""
+    """Return the least interval that contains all t in [low, high] with a t^2 + 2 b t + c <= 0."""
     first, second = high, high
     disc = b * b - a * c
     if abs(a) < TINY:
@@ -105,9 +106,10 @@ def frustum(
     r1: float,
     height: float,
 ) -> tuple[float, float]:
-    """Return where a line along w enters and leaves a frustum, from w of the middle of its base.
+    """Return where a line along w enters and leaves a frustum, relative to its base point [m].
 
-    ``du``, ``dv``: the line minus that middle [m]. The first is greater if it meets nothing.
+    The base point is the middle of the lower disc. ``du``, ``dv``: position of the line relative
+    to it [m]. If the line misses the frustum, the first value exceeds the second.
     """
     foot, slope = du * a[0] + dv * a[1], (r1 - r0) / height
     reach = max(r0, r1) + height
@@ -194,10 +196,11 @@ def swept(
     v: tuple[float, float, float],
     strips: tuple[Strip, Strip],
 ) -> tuple[float, float]:
-    """Return the interval of a line along w that a moving slab sweeps, from w of its base [m].
+    """Return the interval that a moving slab sweeps on a line along w, relative to its base [m].
 
-    ``du``, ``dv``: the line minus the middle of the base in the middle of the motion; ``slab``: 1
-    of a ball, both radii and the height; ``strips``: of ``strips_of``. All in u, v, w.
+    The base is the middle of the lower disc at the middle of the motion. ``du``, ``dv``: position
+    of the line relative to it [m]. ``slab``: 1 for a ball, both radii, and the height.
+    ``strips``: the result of ``strips_of``. Vectors have the components u, v, w.
     """
     ball, r0, r1, height = slab
     if ball > 0.5:
@@ -229,7 +232,7 @@ def strips_of(
     slab: tuple[float, float, float, float],
     v: tuple[float, float, float],
 ) -> tuple[Strip, Strip]:
-    """Return the flat strips between both ends of the motion."""
+    """Return the two flat strips between the slab at either end of the motion."""
     ball, r0, r1, height = slab
     along = v[0] * a[0] + v[1] * a[1] + v[2] * a[2]
     x, y, z = v[0] - along * a[0], v[1] - along * a[1], v[2] - along * a[2]

@@ -1,7 +1,8 @@
 """Pieces of motion: chords between poses of the tool, seen from the stock, near the true motion.
 
 In a piece of motion, a point x of the tool moves from x - v(x) to x + v(x) in the frame of the
-stock, where v is linear in x. The bound of ``clearance.py`` tells by how much points leave that.
+stock, where v is linear in x. ``displaced`` of ``clearance.py`` bounds its deviation from the
+truth.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ from cnc_interp.collision.mill_sweep import FAR
 from cnc_interp.core import FloatArray
 from cnc_interp.core.kernels import njit
 
-#: Columns of a piece of motion. In its middle, in the frame of the stock: tip and axis of the
-#: tool; how far the tip moves to either side, and how the axis turns. Path length at both ends
-#: [m]; by how much points of the tool may leave that motion [m]; the tool; what it removed [m3].
+#: Columns of a piece of motion: tip and axis of the tool at its middle, half the motion of the
+#: tip, half the change of the axis, all in the frame of the stock [m, -]; path length at both ends
+#: [m]; largest deviation of a point of the tool [m]; number of the tool; volume removed [m3].
 TIP, AXIS, MOVE, TURN, BEGIN, END, LEFT, TOOL, REMOVED, MOTION = 0, 3, 6, 9, 12, 13, 14, 15, 16, 17
-MOST_TURN = 0.05  #: By how much the axis turns to either side in a piece of motion, at most [rad].
+MOST_TURN = 0.05  #: Largest turn of the axis to either side in a piece of motion [rad].
 
 
 @njit(cache=True, nogil=True)
@@ -58,10 +59,10 @@ def _motion(
     sizes: FloatArray,
     out: FloatArray,
 ) -> float:
-    """Write one piece of motion; return by how much the mill leaves it [m].
+    """Write one piece of motion; return the largest deviation of the mill from it [m].
 
-    It is the chord between the poses at both ends. Both leave the tangent in the middle by what
-    ``displaced`` bounds, so points leave the chord by twice that.
+    The piece is the chord between the poses at both ends. Path and chord each deviate from the
+    tangent in the middle by at most the bound of ``displaced``, so from each other by twice that.
     """
     begin, end, first, last = span
     n_links, n_axes = len(space.chain.parent), route.bezier.shape[1]
@@ -106,10 +107,10 @@ def motions_of(
     sizes: FloatArray,
     lost: float,
 ) -> FloatArray:
-    """Divide cells from one to before another into pieces of motion, (m, MOTION).
+    """Divide cells [first, last) into pieces of motion, (m, MOTION).
 
-    ``sizes``: of the tool; ``lost``: what points of the mill may leave of their motion [m]. Half
-    of that is for what ``_motion`` bounds, and the other half for slabs whose ends turn.
+    ``sizes``: of mill and tool, from ``CutStock._sizes``; ``lost``: largest value that ``_motion``
+    may return for a piece [m].
     """
     s, found = route.s, 0
     out, tried = np.empty((256, MOTION)), np.empty(MOTION)
@@ -151,7 +152,7 @@ def joined(rows: FloatArray, reach: float, flat: float, lost: float) -> FloatArr
 
 @njit(cache=True, nogil=True)
 def _join(rows: FloatArray, reach: float, flat: float, out: FloatArray) -> float:
-    """Write the motion from the first pose of pieces to their last one; return what leaves it."""
+    """Write the motion from the first pose of pieces to the last; return its deviation [m]."""
     one, other = rows[0], rows[-1]
     out[:] = one
     for c in range(TIP, MOVE):

@@ -1,4 +1,4 @@
-"""The check of a whole motion, part by part: certificates, or hits, before anything moves."""
+"""Check a whole motion, part by part, before anything moves: find certificates or hits."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ from cnc_interp.program.blocks.functions import Functions
 if TYPE_CHECKING:
     from cnc_interp.collision.follow import Contact, CutStock, Spans
 
-LEAVES = 1e-7  #: Bodies that are too near move apart by hand if they gain more [m].
+LEAVES = 1e-7  #: A motion by hand may start too near if it gains more distance than this [m].
 EVERY = 4  #: The least distance is measured at the begin of every so many cells.
-MOST_HITS = 1 << 16  #: Hits of one part of the path that are listed.
+MOST_HITS = 1 << 16  #: Largest number of hits listed for one part of the path.
 #: Outputs that M6 sets to the number of the tool: with a tool changer, and by hand.
 TOOL_OUTPUTS = ('tool_number', TOOL)
 
 
 class Certificates(Table):
-    """Rows of ``collision.npz``: why pieces keep apart in an interval, or where they hit."""
+    """Rows of ``collision.npz``: certificates that pieces keep apart, and hits."""
 
     begin: FloatArray = column()  #: Path length at the begin of the interval, or of a hit [m].
     end: FloatArray = column()  #: Path length at its end [m].
-    pair: IntArray = column(2)  #: Both pieces, A and B.
+    pair: IntArray = column(2)  #: Numbers of both pieces, A and B.
     #: Unit vector from A to B along which they keep apart, in the frame of B's link [-].
     normal: FloatArray = column(3)
     hit: BoolArray = column(default=False)  #: Whether they hit at the begin.
@@ -69,13 +69,13 @@ class Nearest:
 
 @dataclass
 class ClearanceFigures:
-    """What was done: intervals, tests of pairs and certificates, and pairs of bodies."""
+    """Figures of the check: intervals, tests of pairs, certificates, and pairs of bodies."""
 
     intervals: int = 0
     tests: int = 0
     certificates: int = 0
     pairs: int = 0
-    nearest: Nearest | None = None  #: Of what carries the tool and what does not.
+    nearest: Nearest | None = None  #: Between the tool's side of the machine and the other.
 
 
 class PathClearance:
@@ -102,7 +102,7 @@ class PathClearance:
         return CutStock(self.placed, self._space)
 
     def call_tools(self, functions: Functions) -> None:
-        """Take the functions of the program so far, which tell from which row on a tool is in."""
+        """Take the functions of the program so far; they contain the tool changes."""
         signals = self.machine.signals
         names = [signals.outputs[step.output].name for step in signals.steps]
         calls = np.flatnonzero([names[step] in TOOL_OUTPUTS for step in functions.step])
@@ -116,7 +116,7 @@ class PathClearance:
     def push(
         self, path: AxisPath, rapid: BoolArray, line_of: Callable[[int], int]
     ) -> tuple[list[Hit], Certificates]:
-        """Check a further part of the path.
+        """Check the next part of the path.
 
         Parameters
         ----------
@@ -170,7 +170,10 @@ class PathClearance:
         cells: IntArray,
         pairs: list[tuple[int, int]],
     ) -> None:
-        """Note where what carries the tool comes nearest to all else, but the cutter to stock."""
+        """Record the least distance between bodies on the tool's side and on the other side.
+
+        The cutter and the stock do not count as a pair.
+        """
         tip = self.placed.names.index(TOOL_TIP)
         carries = {tip, *(link for link, _ in steps_between(self.placed.chain, tip, 0))}
         on_tool = [self.placed.names.index(body.link) in carries for body in self.scene.bodies]
@@ -185,7 +188,10 @@ class PathClearance:
             self.figures.nearest = Nearest(float(distance), (a, b), int(lines[cell]))
 
     def pass_by(self, path: AxisPath, rapid: BoolArray, functions: Functions) -> None:
-        """Cut the stock along a part that is not executed, without checks; functions: until it."""
+        """Cut the stock, without checks, along a part that is not executed.
+
+        ``functions``: those of the program up to the end of that part.
+        """
         if self.stock is not None:
             kept = self._tools
             self.call_tools(functions)
@@ -201,7 +207,7 @@ class PathClearance:
         return lines, Route(path.s, bezier_table(path), line_end)
 
     def _cut(self, pair: tuple[int, int]) -> bool:
-        """Whether one of a pair is the stock that is cut."""
+        """Return whether one body of a pair is the stock that is cut."""
         return self.stock is not None and self.stock.number in pair
 
     def _descend(
@@ -234,7 +240,7 @@ class PathClearance:
             yield from self.stock.follow(route, cells, number, bool(rapid[first]), near)
 
     def _stock_hit(self, route: Route, lines: IntArray, contact: Contact) -> list[Hit]:
-        """Return a contact with remaining material as a hit, unless its line has had one."""
+        """Return a contact with remaining material as a hit, unless its line already has one."""
         assert self.stock is not None
         s, number, piece, length = contact
         line = int(lines[np.searchsorted(route.s[1:-1], s, 'right')])
@@ -248,10 +254,10 @@ class PathClearance:
         return [hit]
 
     def contact(self, positions: FloatArray, tool: int = 0) -> Hit | None:
-        """Return the first contact on straight ways between axis positions, (K, n_axes) [m, rad].
+        """Return the first contact on straight moves between axis positions, (K, n_axes) [m, rad].
 
-        That is motion by hand, which may bring the cutter to the stock to touch it off. Bodies
-        that are too near already may move apart.
+        These are moves by hand: the cutter may touch the stock, to touch it off. Bodies that are
+        already too near may move apart.
         """
         ways, cells = np.diff(positions, axis=0), len(positions) - 1
         bezier = positions[:-1, :, None] + ways[:, :, None] * np.arange(DEGREE + 1.0) / DEGREE
@@ -299,7 +305,7 @@ class PathClearance:
     def _stretches(
         self, path: AxisPath, rapid: BoolArray
     ) -> Iterator[tuple[int, int, list[tuple[int, int]]]]:
-        """Yield cells from one to before another, and the pairs of bodies that count there."""
+        """Yield ranges of cells [first, last), and the pairs of bodies that are checked there."""
         tool = self._tool_of(path.cell_block)
         starts = np.flatnonzero(np.diff(tool, prepend=tool[0] - 1))
         for first, last in zip(starts, np.append(starts[1:], len(tool)), strict=True):
@@ -323,7 +329,7 @@ class PathClearance:
         return np.asarray(tool)
 
     def _refuse_inside(self, route: Route, first: int, pairs: list[tuple[int, int]]) -> None:
-        """Refuse a body that lies inside a mesh, of which only the surface can be hit."""
+        """Refuse a body that begins inside a mesh: the check sees only the surface of a mesh."""
         meshes = [k for k, body in enumerate(self.scene.bodies) if body.triangles is not None]
         asked = [pair for pair in pairs if pair[0] in meshes or pair[1] in meshes]
         if not asked:

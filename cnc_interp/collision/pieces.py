@@ -1,7 +1,7 @@
-"""From a mesh to pieces: a binary tree of boxes down to the triangles, which are kept exactly.
+"""Make pieces of a mesh: a binary tree of boxes, whose leaves are the exact triangles.
 
-Whatever lies outside the triangles of a leaf lies outside all boxes above it, so a tree never
-hides a contact; it only lets distant parts be cleared together.
+Each box contains the triangles below it. So the tree never hides a contact; it only lets distant
+parts be cleared together.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cnc_interp.core import FloatArray, IntArray
 
 
 def triangle_tree(triangles: FloatArray, round: float = 0.0) -> tuple[list[Piece], IntArray]:  # noqa: A002
-    """Return pieces, the root first, and the children of each, (n, 2); -1 of a triangle.
+    """Return pieces, the root first, and the children of each, (n, 2); -1 for a triangle.
 
     ``triangles`` (m, 3, 3): corners [m]. ``round``: by how much each triangle is grown [m].
     """

@@ -1,7 +1,7 @@
-"""What the stock has become: its surface as triangles, and what it is more or less than the part.
+"""The remaining stock: its surface as triangles, and its excess and gouges against the part.
 
-Three fields with lines through the nodes of one grid tell how far each node is inside or outside
-along three directions. Marching tetrahedra make closed triangles of that.
+Three fields with lines through the nodes of one grid give the depth of each node along three
+directions. Marching tetrahedra turn these depths into a closed surface.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from cnc_interp.collision.stock import Field, crossings, field_of, lines
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
-#: Nodes are no nearer to the surface, as a share of the grid, so that corners do not coincide [-].
+#: Least distance of nodes from the surface, as a share of the grid; corners then never coincide
+#: [-].
 APART = 0.01
-NODES = 100_000  #: Of the grid for drawings, about.
-SMALLEST = 1e-15  #: Volume that is not divided [m3].
+NODES = 100_000  #: Approximate number of nodes of the grid for drawings.
+SMALLEST = 1e-15  #: Pieces that remove less are not divided [m3].
 #: A cube in six tetrahedra around its diagonal; corner k lies at (k & 1, k >> 1 & 1, k >> 2).
 TETRAHEDRA = (0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)
-#: Edges of a tetrahedron that cross the surface, three for each triangle, by the number of its
-#: corners inside, which come first.
+#: Edges of a tetrahedron that cross the surface, three per triangle, for each number of corners
+#: inside. Corners inside come first.
 CROSSED = {
     1: ((0, 1), (0, 2), (0, 3)),
     2: ((0, 2), (0, 3), (1, 3), (0, 2), (1, 3), (1, 2)),
@@ -34,15 +35,15 @@ CROSSED = {
 
 
 def stock_triangles(stock: CutStock) -> FloatArray:
-    """Return the surface of what is left, (m, 3, 3), in the frame of the link of the stock [m].
+    """Return the surface of the remaining stock, (m, 3, 3), in the frame of its link [m].
 
-    Corners run counter-clockwise seen from outside.
+    The corners run counter-clockwise when seen from outside.
     """
     return _surface([stock.field_along(axis) for axis in range(3)])
 
 
 def stages_of(stock: CutStock, count: int) -> Iterator[tuple[float, FloatArray]]:
-    """Yield path lengths, and coarsely what is left there after about equal shares are cut."""
+    """Yield path lengths and the remaining stock there, coarsely; stages remove about the same."""
     low, high = stock.body.bounds()
     size = max(stock.pitch, float(np.cbrt((high - low).prod() / NODES)))
     fields = [field_of(stock.body, axis, size, shifted=False) for axis in range(3)]
@@ -56,7 +57,7 @@ def stages_of(stock: CutStock, count: int) -> Iterator[tuple[float, FloatArray]]
 
 
 def _divided(rows: FloatArray, most: float) -> FloatArray:
-    """Divide pieces of motion into parts that remove no more than so much [m3], about."""
+    """Divide pieces of motion into parts that each remove about ``most`` at most [m3]."""
     count = np.ceil(rows[:, REMOVED] / max(most, SMALLEST)).clip(1.0).astype(int)
     found, at = np.empty((count.sum(), rows.shape[1])), 0
     for row, parts in zip(rows, count.tolist(), strict=True):
@@ -83,7 +84,7 @@ def _surface(fields: list[Field]) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def depths_along(field: Field, low: float, out: FloatArray) -> None:
-    """Write how far nodes are from the next end of material along their line; outside: below 0."""
+    """Write the distance of nodes to the next end of material on their line; < 0 outside [m]."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             for k in range(out.shape[2]):
@@ -122,9 +123,9 @@ def _march(inside: FloatArray) -> FloatArray:
 
 
 def against_part(stock: CutStock, part: Body) -> dict[str, float]:
-    """Return the largest excess of what is left over the part, and the deepest gouge [m].
+    """Return the largest excess of the remaining stock over the part, and the deepest gouge [m].
 
-    Each place of the surface of the part is judged along the lines nearest to its normal.
+    Each place on the surface of the part is measured along the lines nearest to its normal.
     """
     assert part.triangles is not None
     found = np.zeros(2)
@@ -143,7 +144,7 @@ def against_part(stock: CutStock, part: Body) -> dict[str, float]:
 def beyond(
     field: Field, line: IntArray, height: FloatArray, along: FloatArray, found: FloatArray
 ) -> None:
-    """Raise excess and gouge to those at places of the part's surface.
+    """Update excess and gouge in ``found`` with their values at places of the part's surface [m].
 
     ``along``: component along the lines of the outward normal at each place [-].
     """

@@ -1,4 +1,4 @@
-"""A scene: the bodies of machine, fixtures, stock and tools, and which of them must keep apart."""
+"""A scene: bodies of machine, fixtures, stock and tools, and which pairs must keep apart."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class Body:
     link: str  #: Link of the machine that carries it.
     role: Role
     pieces: tuple[Piece, ...]  #: Its pieces in the frame of the link, parents before children.
-    child: IntArray  #: (n, 2): Two pieces that together contain the same leaves; -1 of a leaf.
-    roots: tuple[int, ...]  #: Pieces that are children of no other.
-    tool: int = 0  #: Number of the tool that it belongs to; 0: always there.
+    child: IntArray  #: (n, 2): The two children of each piece in the tree; -1 for a leaf.
+    roots: tuple[int, ...]  #: Pieces without a parent.
+    tool: int = 0  #: Number of the tool that it belongs to; 0 if it is always present.
     triangles: FloatArray | None = None  #: (m, 3, 3): Closed surface of a mesh [m].
 
     def piece_name(self, piece: int) -> str:
-        """Return the name of one of its pieces, with a number if it has several roots."""
+        """Return the name of a piece: that of the body, with a number if it has several roots."""
         if len(self.roots) == 1 or self.role is Role.CUTTER:
             return self.name
         return f'{self.name} cone {self.roots.index(piece) + 1}'
@@ -57,19 +57,20 @@ class Body:
 class Scene:
     source: Path  #: File that describes it.
     bodies: tuple[Body, ...]
-    #: Smallest distances [m]: ``default``, and of pairs of roles as ``holder_stock``.
+    #: Smallest allowed distances [m]: ``default``, and by pairs of roles, as ``holder_stock``.
     clearances: dict[str, float]
     ignored: frozenset[frozenset[str]]  #: Pairs of names that may touch.
     tools: tuple[int, ...]  #: Numbers of the tools that have a body.
-    first_tool: int  #: Tool in the spindle before the program calls one; 0: not known.
+    first_tool: int  #: Tool in the spindle before the first tool change; 0 if unknown.
     #: Holders by name, rows [height, radius] from the lower end of the spindle up [mm].
     holders: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()  #: Meshes that belong to it, and the scene that it includes.
     grid: float = 0.0  #: Width of the cells in which the stock is cut [m]; 0 without a stock.
-    part: Body | None = None  #: The part that the stock shall become; nothing can hit it.
+    #: The finished part, against which the stock is compared; it never collides.
+    part: Body | None = None
 
     def content(self) -> list[bytes]:
-        """Return the content of all its files."""
+        """Return the content of all files of the scene."""
         return [file.read_bytes() for file in (self.source, *self.files) if file.is_file()]
 
     def clearance(self, a: Body, b: Body) -> float:
@@ -88,7 +89,7 @@ class Scene:
                 yield (b, a) if other.tool else (a, b)  # the tool is named first
 
     def in_feed(self, a: int, b: int) -> bool:
-        """Whether a pair counts in feed moves too: all but the cutter and the stock."""
+        """Return whether a pair is checked in feed moves: every pair but the cutter and stock."""
         roles = {self.bodies[a].role, self.bodies[b].role}
         return roles != {Role.CUTTER, Role.STOCK}
 
@@ -103,7 +104,7 @@ class Placed:
     pieces: Pieces
     first: tuple[int, ...]  #: First piece of each body, and the number of pieces.
     pairs: tuple[tuple[int, int], ...]  #: Bodies that must keep apart.
-    clearance: FloatArray  #: (bodies, bodies): Smallest distance [m].
+    clearance: FloatArray  #: (bodies, bodies): Smallest allowed distance [m].
 
     @staticmethod
     def of(scene: Scene, machine: Machine) -> Placed:

@@ -21,7 +21,7 @@ from cnc_interp.machine_model.joint import TOOL_TIP
 from cnc_interp.program.job import JobSetup, Tool
 
 UNITS = {'mm': MM, 'm': 1.0, 'inch': 25.4 * MM}
-#: Largest and smallest extent of a body that is taken for a right unit [m].
+#: Extents of a body outside these limits suggest a wrong unit [m].
 LARGEST, SMALLEST = 50.0, 0.5 * MM
 CLEARANCES = ('default', 'holder_stock', 'shank_stock', 'cutter_stock')
 DEFAULT_CLEARANCE, MOST_CLEARANCE = 0.1 * MM, 50.0 * MM
@@ -44,8 +44,9 @@ WHOLE = (
 )
 AXES = {'X': (1.0, 0.0, 0.0), 'Y': (0.0, 1.0, 0.0), 'Z': (0.0, 0.0, 1.0)}
 CHORD = 0.01 * MM
-GRID, FINEST, COARSEST = 0.4, 1e-2 * MM, 10.0 * MM  #: Of the stock: usual [mm], limits [m].
-MOST_LINES = 1 << 22  #: Lines of a stock along one axis.
+#: Cell width of the stock: usual [mm], limits [m].
+GRID, FINEST, COARSEST = 0.4, 1e-2 * MM, 10.0 * MM
+MOST_LINES = 1 << 22  #: Largest number of lines of a stock along one axis.
 
 
 def scenes_directory() -> Path:
@@ -53,7 +54,7 @@ def scenes_directory() -> Path:
 
 
 def find_scene_file(path_or_name: str | Path) -> Path:
-    """Return the file of a scene, or of a bundled one by its name."""
+    """Return the path of a scene file, given its path or the name of a bundled scene."""
     path = Path(path_or_name)
     bundled = scenes_directory() / f'{path.name}.yaml'
     return bundled if not path.is_file() and bundled.is_file() else path
@@ -75,7 +76,7 @@ def read_scene(path: Path, setup: str = '') -> Scene:
 def require_tool(scene: Scene, number: int, tool: Tool) -> None:
     """Raise SceneError if a tool of the tool table cannot get bodies in a scene.
 
-    ``scene``: as read without a table, so that its tools are those that it describes itself.
+    ``scene``: read without a tool table, so that it has only the tools that it describes itself.
     """
     reading = _Reading(scene.source)
     given = reading.of_table(number, tool.worn, scene.holders)
@@ -97,7 +98,7 @@ def _content(path: Path) -> Any:
 
 NO_BODIES = Scene(Path(), (), {'default': DEFAULT_CLEARANCE}, frozenset(), (), 0)
 NO_TABLE = JobSetup()
-HOLDER = 'default'  #: Holder of a tool that names none.
+HOLDER = 'default'  #: Holder of a tool that does not name one.
 
 
 class _Reading:
@@ -106,7 +107,7 @@ class _Reading:
         self._meshes: list[Path] = []
 
     def _included(self, value: Any) -> Scene:
-        """Return another scene, whose bodies come first; it may include none itself."""
+        """Return the included scene. Its bodies come first, and it may not include another."""
         if not isinstance(value, str):
             raise self.fault('include', 'must be a scene file, or the name of a bundled one')
         beside = self._path.parent / value
@@ -192,9 +193,9 @@ class _Reading:
         )
 
     def of_table(self, number: int, tool: Tool, holders: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what ``tools`` would hold for a tool of the tool table; nothing without sizes.
+        """Return the entry of ``tools`` for a tool of the tool table; empty without sizes.
 
-        Without a flute of its own, all of it below its holder counts as the part that cuts.
+        If no flute length is given, the whole length below the holder counts as cutting.
         """
         if tool.holder and tool.holder not in holders:
             known = f'known: {", ".join(holders)}' if holders else 'the scene describes no holder'
@@ -362,7 +363,7 @@ class _Reading:
         return triangles_of(file, UNITS[unit], chord), chord if step else 0.0
 
     def _turn(self, given: dict[str, Any], name: str) -> tuple[FloatArray, FloatArray]:
-        """Return rotation and shift of a body in its link; it turns about X, then Y, then Z."""
+        """Return rotation and shift of a body in its link; rotations are about X, Y, then Z."""
         angles = given.get('turn_deg', [0.0, 0.0, 0.0])
         if not isinstance(angles, list) or len(angles) != 3:
             raise self.fault(name, 'turn_deg must be three angles about X, Y and Z')
@@ -382,7 +383,7 @@ class _Reading:
         return Piece(discs, rotation @ piece.along, piece.round)
 
     def tool(self, number: int, given: dict[str, Any]) -> list[Body]:
-        """Return cutter, shank and holder; heights count from the tip, along the tool."""
+        """Return cutter, shank and holder; heights are measured from the tip along the tool."""
         where = f'tools.{number}'
         for key in ('diameter_mm', 'flute_mm'):
             if key not in given:

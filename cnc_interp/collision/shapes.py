@@ -42,7 +42,7 @@ def box(low: FloatArray, high: FloatArray) -> Piece:
 
 
 def stack(profile: FloatArray, along: FloatArray | None = None, round: float = 0.0) -> Piece:  # noqa: A002
-    """Return the hull of discs on an axis through the origin: heights and radii, (k, 2) [m]."""
+    """Return the hull of discs on an axis through the origin, given heights and radii [m]."""
     along = np.array(UP) if along is None else along
     height, radius = np.asarray(profile, dtype=float).reshape(-1, 2).T
     return Piece(np.column_stack([height[:, None] * along, radius]), along, round)
@@ -56,7 +56,7 @@ class Pieces(NamedTuple):
     along: FloatArray  #: (n, 3): Unit vector normal to the discs [-].
     round: FloatArray  #: (n,): Radius by which each piece is grown [m].
     ball: FloatArray  #: (n, 4): Centre and radius of a ball around each piece [m].
-    child: IntArray  #: (n, 2): Two pieces that together contain the same leaves; -1 of a leaf.
+    child: IntArray  #: (n, 2): The two children of each piece in the tree; -1 for a leaf.
     body: IntArray  #: (n,): Body to which each piece belongs.
     link: IntArray  #: (n,): Link to which it is fixed.
 
@@ -100,7 +100,7 @@ def support(
     a: tuple[float, float, float],
     n: tuple[float, float, float],
 ) -> tuple[int, float]:
-    """Return the farthest disc along n, and n . p + rho |n x a| of it [m], without rounding."""
+    """Return the farthest disc along n and its n . p + rho |n x a|, without the radius r [m]."""
     x, y, z = n[1] * a[2] - n[2] * a[1], n[2] * a[0] - n[0] * a[2], n[0] * a[1] - n[1] * a[0]
     across = sqrt(x * x + y * y + z * z)
     best, at = -1e300, first
@@ -119,7 +119,7 @@ def support_point(
     a: tuple[float, float, float],
     n: tuple[float, float, float],
 ) -> tuple[float, float, float]:
-    """Return the farthest point along n of a piece, without rounding [m]."""
+    """Return the farthest point of a piece along n, without the radius r [m]."""
     at, _ = support(disc, first, last, a, n)
     along = n[0] * a[0] + n[1] * a[1] + n[2] * a[2]
     x, y, z = n[0] - along * a[0], n[1] - along * a[1], n[2] - along * a[2]

@@ -1,10 +1,10 @@
-"""The stock: material on parallel lines.
+"""The stock, as intervals of material on parallel lines.
 
-A field has lines along one axis w of the stock's frame, one in each cell of a square grid over the
-other two, u and v, and on each line the intervals of material. Their ends are exact; only what
-lies between the lines is not known. In a field for volumes, lines are shifted within their cells
-by multiples of an irrational number. So a wall along the grid does not fall between the same two
-lines everywhere, and volumes are right to a fraction of what the width of a cell would suggest.
+The lines of a field run along one axis w of the stock's frame, one in each cell of a square grid
+over u and v. Each line stores its intervals of material. Their ends are exact; only the material
+between lines is unknown. In a field for volumes, lines are shifted within their cells by multiples
+of an irrational number. A wall along the grid then does not fall between the same two lines
+everywhere, so volumes are much more accurate than the cell width suggests.
 """
 
 from __future__ import annotations
@@ -24,29 +24,30 @@ from cnc_interp.collision.scene import Body
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
-BLOCK = 8  #: Lines of a block in each direction; blocks without material are skipped.
+BLOCK = 8  #: Lines per block in each direction; blocks without material are skipped.
 AROUND = 360  #: Points on the rim of a round stock.
-CAPACITY = 4  #: Intervals of a line for which there is room at first.
-SHIFTS = 0.6180339887498949, 0.7548776662466927  #: Of lines within their cells, times their row.
-STEEP = 1e-3  #: Component of a normal below which a triangle nearly follows the lines [-].
-ASIDE = 1.3e-9  #: Lines of a mesh lie so far beside the grid, off edges that follow it [m].
+CAPACITY = 4  #: Initial room for intervals on each line.
+SHIFTS = 0.6180339887498949, 0.7548776662466927  #: Shifts of lines in their cells, per row [-].
+#: A triangle whose normal has a smaller component along w nearly follows the lines [-].
+STEEP = 1e-3
+ASIDE = 1.3e-9  #: Offset of the lines of a mesh, so that none runs along an edge [m].
 
 
 class Field(NamedTuple):
     axis: int  #: Axis w of the stock's frame along which the lines run; u and v follow it.
-    place: FloatArray  #: (3,): Lowest u and v, and width of a cell [m].
+    place: FloatArray  #: (3,): Lowest u, lowest v, and width of a cell [m].
     shift_u: FloatArray  #: (n_v,): How far lines are shifted along u in their cells [-].
     shift_v: FloatArray  #: (n_u,): The same along v.
     used: IntArray  #: (n_u, n_v): Number of intervals of each line.
-    ends: FloatArray  #: (n_u, n_v, capacity, 2): Where they begin and end along w [m].
+    ends: FloatArray  #: (n_u, n_v, capacity, 2): Their begins and ends along w [m].
     span: FloatArray  #: (blocks_u, blocks_v, 2): Lowest and highest material of each block [m].
     done: IntArray  #: (blocks_u, blocks_v): Number of pieces of motion that have cut each block.
-    wanted: IntArray  #: (blocks_u, blocks_v): 1 of blocks that must be cut by all pieces so far.
-    full: IntArray  #: (1,): 1 if a line had no room for a further interval, and was left uncut.
+    wanted: IntArray  #: (blocks_u, blocks_v): 1 if all pieces so far must still cut it.
+    full: IntArray  #: (1,): 1 if a line had no room for another interval and was left uncut.
 
 
 def field_of(body: Body, axis: int, pitch: float, shifted: bool, grown: float = 0.0) -> Field:
-    """Return the field of a body, which may be grown by so much [m]."""
+    """Return the field of a body, grown by ``grown`` [m]."""
     low, high = body.bounds()
     u, v = (axis + 1) % 3, (axis + 2) % 3
     size = [int(np.ceil((high[k] - low[k] + 2.0 * grown) / pitch)) for k in (u, v)]
@@ -101,7 +102,7 @@ def volume(field: Field) -> float:
 
 
 def roomier(field: Field) -> Field:
-    """Return the field with room for twice as many intervals, if a line of it is full."""
+    """Return the field, with room for twice as many intervals if one of its lines is full."""
     if not field.full[0]:
         return field
     field.full[0] = 0
@@ -109,7 +110,7 @@ def roomier(field: Field) -> Field:
 
 
 def roomy(field: Field, act: Any, *given: Any) -> Field:
-    """Do something to a field until no line of it is full; return it with the room for that."""
+    """Repeat an action on a field, doubling the room until no line is full; return the field."""
     act(field, *given)
     while field.full[0]:
         field = roomier(field)
@@ -119,7 +120,7 @@ def roomy(field: Field, act: Any, *given: Any) -> Field:
 
 @njit(cache=True, nogil=True, inline='always')
 def _near(corners: FloatArray, k: int, low: float, pitch: float, room: float, n: int) -> range:
-    """Return the rows of lines that a triangle may meet within some room, along u or v."""
+    """Return the range of rows, along u or v, whose lines a triangle may meet or come near."""
     first = int((corners[:, k].min() - room - low) / pitch) - 1
     last = int((corners[:, k].max() + room - low) / pitch) + 1
     return range(max(first, 0), min(last, n - 1) + 1)
@@ -131,7 +132,7 @@ def crossings(
 ) -> tuple[IntArray, FloatArray]:
     """Return where lines cross triangles, (m, 3, 3), or come nearer to them than ``room``.
 
-    Rows are numbers of line and triangle, and begin and end along w of what is so near [m].
+    Each row has the numbers of line and triangle, and begin and end of the near stretch [m].
     """
     who, ends, found = np.empty((1024, 2), np.int64), np.empty((1024, 2)), 0
     edge = np.empty((3, 5))
@@ -173,7 +174,7 @@ def crossings(
 
 @njit(cache=True, nogil=True)
 def add(field: Field, line: IntArray, ends: FloatArray) -> None:
-    """Unite lines with intervals, (n, 2); those that do not end after they begin are empty."""
+    """Add intervals, (n, 2), to lines. An interval that ends before it begins is empty."""
     for k in range(len(line)):
         if ends[k, 0] < ends[k, 1]:
             i, j = divmod(line[k], field.used.shape[1])
@@ -182,7 +183,7 @@ def add(field: Field, line: IntArray, ends: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def _insert(field: Field, i: int, j: int, low: float, high: float) -> None:
-    """Add an interval to a line, united with all that it meets."""
+    """Add an interval to a line, and merge it with those that it overlaps."""
     ends, count, kept = field.ends[i, j], field.used[i, j], 0
     for k in range(count):
         if ends[k, 1] < low - ASIDE or ends[k, 0] > high + ASIDE:

@@ -1,1 +1,1 @@
-"""Plan files and their proof, which shares machine files and kinematics with the planner."""
+"""Plan files and their proof, which shares only machine file and kinematics with the planner."""

@@ -1,11 +1,11 @@
-"""The proof of ``collision.npz``: every certificate, that they cover the motion, and every hit.
+"""The proof of ``collision.npz``: it checks every certificate and hit, and that none is missing.
 
-A certificate says that two pieces keep apart along n in an interval; ``clearance_bound.py`` tells
-by how much, with an enclosure and a bound of its own.
+A certificate states that two pieces keep apart along n in an interval. ``clearance_bound.py``
+computes the gap again, with its own enclosure of the path and its own bound.
 
-Certificates must cover the whole motion for every pair of bodies that can meet. What the pair of
-two pieces does not cover, the pairs of their parts must. Only hits are left out, to the end of
-their line, and a plan with hits is not proven.
+Certificates must cover the whole motion for every pair of bodies that can meet. Where a pair of
+pieces has no certificate, the pairs of their parts must have one. Only the rest of a line after a
+hit is exempt, and a plan with hits is not proven.
 """
 
 from collections.abc import Iterator, Mapping
@@ -34,17 +34,17 @@ from cnc_interp.proof.clearance_bound import (
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verdict import Ledger
 
-#: What a hit may be farther apart than the clearance, and its witness points from their pieces;
-#: what rounding changes in a certificate [m].
+#: Tolerances for rounding: of the distance in a hit against the clearance, of its witness points
+#: against their pieces, and of the gap of a certificate [m].
 TOUCH, ON_PIECE, ROUNDED = 1.1e-6, 1e-8, 1e-10
 MOST_TOLD = 20  #: Largest number of faults of one kind in a report.
-TOOL_OUTPUTS = ('tool_number', 'tool')  #: With a tool changer, and changed by hand.
+TOOL_OUTPUTS = ('tool_number', 'tool')  #: Outputs of M6, with a tool changer or by hand.
 Spans = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of a plan, and where which bodies are there."""
+    """The motion of a plan, and the placed bodies that it moves."""
 
     ledger: Ledger
     placed: Placed
@@ -52,7 +52,7 @@ class Motion:
     links: Links
 
     def spans_where(self, holds: BoolArray) -> Spans:
-        """Return the intervals of cells at which something holds, (N - 1,)."""
+        """Return the intervals of path length in whose cells ``holds``, (N - 1,), is true [m]."""
         edges = np.flatnonzero(np.diff(holds.astype(np.int8), prepend=0, append=0))
         s = self.cells.s
         return [(float(s[a]), float(s[b])) for a, b in edges.reshape(-1, 2)]
@@ -69,7 +69,7 @@ class Motion:
         return turn, origin
 
     def line_at(self, s: float) -> tuple[int, float]:
-        """Return the line that is executed from a place on, and where it ends [m]."""
+        """Return the program line executed at path length ``s``, and where it ends [m]."""
         plan = self.ledger.plan
         cell = int(np.searchsorted(self.cells.s, s, 'right')) - 1
         rows = np.asarray(plan.path['block'])[: len(self.cells.s) - 1]
@@ -82,7 +82,7 @@ class Motion:
 def prove_clearance(ledger: Ledger, machine: Machine) -> Motion | None:
     """Prove that the bodies of the scene keep their clearances in the whole motion of a plan.
 
-    Return the motion where a stock is cut along it, which ``stock.py`` proves.
+    Return the motion if a stock is cut along it; ``stock.py`` then proves the stock.
     """
     plan = ledger.plan
     file, found = plan.settings.get('scene'), plan.collision
@@ -127,7 +127,7 @@ def links_of(machine: Machine) -> Links:
 
 
 def _tree_is_sound(placed: Placed) -> bool:
-    """Return whether every piece with parts is a box along the axes that contains them."""
+    """Return whether every piece with parts is an axis-aligned box that contains them."""
     pieces = placed.pieces
     reach = pieces.disc[:, 3:] * np.sqrt(
         np.maximum(1.0 - np.repeat(pieces.along, np.diff(pieces.first), axis=0) ** 2, 0.0)
@@ -147,7 +147,7 @@ def _tree_is_sound(placed: Placed) -> bool:
 
 
 def _certificates(motion: Motion, found: Mapping[str, Any]) -> BoolArray:
-    """Return which certificates hold, (m,); those that do not are faults."""
+    """Return which certificates hold, (m,); report the others as failures."""
     ledger, placed = motion.ledger, motion.placed
     pieces, hit = placed.pieces, np.asarray(found['hit'], dtype=np.bool_)
     span = np.column_stack([found['begin'], found['end']])
@@ -174,7 +174,7 @@ def _certificates(motion: Motion, found: Mapping[str, Any]) -> BoolArray:
 
 
 def _hits(motion: Motion, found: Mapping[str, Any]) -> dict[tuple[int, int], Spans]:
-    """Return where hits excuse a pair of bodies from certificates; every hit is a fault."""
+    """Return for each pair of bodies where hits replace certificates; every hit is a failure."""
     ledger, placed = motion.ledger, motion.placed
     pieces = placed.pieces
     excused: dict[tuple[int, int], Spans] = {}
@@ -213,7 +213,7 @@ def stock_is_cut(placed: Placed, a: int, b: int) -> bool:
 
 
 def _off(pieces: Any, piece: int, point: FloatArray) -> float:
-    """Return the distance of a point from a piece without its rounding [m]."""
+    """Return the distance of a point from a piece without its rounding radius [m]."""
     from scipy.optimize import nnls
 
     discs = pieces.disc[pieces.first[piece] : pieces.first[piece + 1]]
@@ -234,7 +234,7 @@ def _off(pieces: Any, piece: int, point: FloatArray) -> float:
 
 
 def _pairs(motion: Motion) -> Iterator[tuple[int, int, Spans]]:
-    """Yield the pairs of bodies that must keep apart, and where on the path."""
+    """Yield the pairs of bodies that must keep apart, with the intervals where they must [m]."""
     scene, links, plan = motion.placed.scene, motion.links, motion.ledger.plan
     numbers = [motion.placed.names.index(body.link) for body in scene.bodies]
     rows = np.asarray(plan.path['block'])[:-1]
@@ -258,7 +258,7 @@ def _pairs(motion: Motion) -> Iterator[tuple[int, int, Spans]]:
 
 
 def tools_at(plan: PlanFiles, signals: Signals, first: int, rows: IntArray) -> IntArray:
-    """Return the number of the tool in the spindle at program rows; ``first``: before M6."""
+    """Return the tool number in the spindle at program rows; ``first``: before the first M6."""
     steps, names = signals.steps, [output.name for output in signals.outputs]
     tool = np.full(len(rows), first)
     columns = (plan.functions[name] for name in ('block', 'step', 'value'))
@@ -274,7 +274,7 @@ def _cover(
     sound: BoolArray,
     excused: dict[tuple[int, int], Spans],
 ) -> None:
-    """Demand certificates, or hits, for every pair of bodies and every pair of their leaves."""
+    """Require that certificates or hits cover every pair of bodies, down to their leaves."""
     placed, ledger = motion.placed, motion.ledger
     by_pair: dict[tuple[int, int], Spans] = {}
     for row in np.flatnonzero(sound):
@@ -304,7 +304,7 @@ def _cover(
 
 
 def _parts(placed: Placed, p: int, q: int) -> list[tuple[int, int]]:
-    """Return the pairs of parts of which the larger piece consists; any choice is sound."""
+    """Return the pairs that arise when the larger piece is divided; any choice is sound."""
     child, ball = placed.pieces.child, placed.pieces.ball
     if child[p, 0] < 0 and child[q, 0] < 0:
         return []
@@ -314,7 +314,7 @@ def _parts(placed: Placed, p: int, q: int) -> list[tuple[int, int]]:
 
 
 def _left(needed: Spans, given: Spans) -> Spans:
-    """Return what others leave of intervals that are in order and apart."""
+    """Return the parts of sorted, disjoint intervals ``needed`` that ``given`` does not cover."""
     merged: list[list[float]] = []
     for low, high in sorted(given):
         if merged and low <= merged[-1][1]:
@@ -337,7 +337,7 @@ def _left(needed: Spans, given: Spans) -> Spans:
 
 
 def _inside(motion: Motion, a: int, b: int, s: float) -> bool:
-    """Return whether one body lies inside the mesh of the other at a place of the path."""
+    """Return whether one body lies inside the mesh of the other at path length ``s``."""
     placed, bodies = motion.placed, motion.placed.scene.bodies
     for one, other in ((a, b), (b, a)):
         mesh = bodies[one].triangles

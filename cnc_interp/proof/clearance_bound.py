@@ -1,8 +1,8 @@
-"""How far a certificate proves two pieces to keep apart: own enclosure of the path, own bound.
+"""The gap between two pieces that a certificate proves, computed independently of the planner.
 
-The interval gets its enclosure from the columns of ``path.npz``, and each disc of piece A its own
-bound: how far it can come along n to first order, what the enclosure leaves, and what higher
-orders add at its own levers. The planner bounds a ball around the piece; its code is not used.
+The enclosure of the interval comes from the columns of ``path.npz``. Each disc of piece A gets its
+own bound along n: its first-order motion, the remainder of the enclosure, and higher orders with
+its own levers. The planner bounds a ball around the piece instead; no code is shared.
 """
 
 from math import comb, cos, pi, sin, sqrt
@@ -31,20 +31,20 @@ BERNSTEIN = np.array(
 
 
 class Cells(NamedTuple):
-    """The path as the plan files have it."""
+    """The path, as stored in the plan files."""
 
     s: FloatArray  #: (N,): Path length at the grid points [m].
     left: FloatArray  #: (4, N - 1, n): Derivatives by s at the left end of each cell.
-    right: FloatArray  #: (4, N - 1, n): At the right end.
+    right: FloatArray  #: (4, N - 1, n): Likewise at the right end.
 
 
 class Links(NamedTuple):
     """The tree of links, the base first."""
 
     parent: IntArray
-    axis: IntArray  #: Axis of the joint before each link; -1 of a fixed one.
+    axis: IntArray  #: Axis of the joint before each link; -1 if it is fixed.
     turns: BoolArray  #: Whether that axis is rotary.
-    origin: FloatArray  #: (n, 3): In the frame of the parent [m].
+    origin: FloatArray  #: (n, 3): Origin of each link in the frame of its parent [m].
     along: FloatArray  #: (n, 3): Direction of the axis [-].
     turn: FloatArray  #: (n, 3, 3): How the link is turned in its parent, with the axis at zero.
 
@@ -109,7 +109,7 @@ def place(cells: Cells, s: float, out: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def enclosure(cells: Cells, begin: float, end: float, out: FloatArray) -> None:
-    """Write for each axis middle, half change and bound of the rest, (3, n) [m, rad]."""
+    """Write for each axis the middle, half the change and a bound of the remainder, (3, n)."""
     s, n = cells.s, cells.left.shape[2]
     first = cell_at(s, begin)
     after = int(np.searchsorted(s, end, 'left'))
@@ -168,7 +168,7 @@ def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def joints_of_pair(links: Links, a: int, b: int, out_link: IntArray, out_sense: FloatArray) -> int:
-    """Write the links whose joints lie between two links, a's first; return their number."""
+    """Write the links whose joints lie between links a and b, from a on; return their number."""
     carried = np.zeros(len(links.parent), dtype=np.bool_)
     k = b
     while k >= 0:
@@ -193,7 +193,7 @@ def joints_of_pair(links: Links, a: int, b: int, out_link: IntArray, out_sense: 
 
 @njit(cache=True, nogil=True)
 def around(solids: Solids, piece: int) -> float:
-    """Return how far a piece reaches from its middle [m]."""
+    """Return the distance from the middle of a piece to its farthest point [m]."""
     most, axis = 0.0, solids.along[piece]
     for i in range(solids.first[piece], solids.first[piece + 1]):
         way = solids.disc[i, :3] - solids.ball[piece, :3]
@@ -213,9 +213,9 @@ def certified(
     normal: FloatArray,
     group: IntArray,
 ) -> FloatArray:
-    """Return how far each certificate proves its pieces to keep apart, at least, (m,) [m].
+    """Return the least gap between its pieces that each certificate proves, (m,) [m].
 
-    ``group`` (m,): certificates in an order in which those of one interval are neighbours.
+    ``group`` (m,): an order of the certificates in which those of one interval are adjacent.
     """
     n_links, n = len(links.parent), cells.left.shape[2]
     proven, motion = np.empty(len(span)), np.empty((3, n))

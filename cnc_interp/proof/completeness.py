@@ -1,4 +1,4 @@
-"""Completeness of a motion: it passes every vertex, every axis meets its words, and stops rest."""
+"""Completeness of a motion: it passes every vertex, axes reach their words, and stops rest."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cnc_interp.proof.programmed_path import distances_to_vertices, peaks
 from cnc_interp.proof.verdict import Ledger
 
 STOP_DISTANCE = 1e-6  #: Largest accepted distance between an exact stop and its vertex [m].
-SEARCHED = 20_000  #: Samples before and after a vertex among which a rest is looked for.
-STOP_ANGLE = 1e-6  #: Rotary words are met within this at an exact stop [rad].
+SEARCHED = 20_000  #: Number of samples before and after a vertex that are searched for a rest.
+STOP_ANGLE = 1e-6  #: Largest accepted error of rotary words at an exact stop [rad].
 # At the pole the tool axis does not show a turn; nearer than this number of orientation tolerances
 # the outer rotary axis is held to its word as if the tool were so far away.
 POLE_TOLERANCES = 4.0
@@ -84,9 +84,10 @@ def _rests(position: FloatArray, crawl: FloatArray) -> bool:
 def _prove_rotary_words(
     ledger: Ledger, plan: PlanFiles, program: ProgramShapes, search: VertexSearch, where: IntArray
 ) -> None:
-    """Check that rotary axes pass their words, each on its own branch and whole turn.
+    """Check that rotary axes pass their words, on the programmed branch and in the right turn.
 
-    A rounded vertex may turn each by the tolerances at flank height over the sine between both.
+    At a rounded vertex an axis may miss its word by the tolerances at flank height, divided by the
+    sine between the tool and that axis.
     """
     rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
@@ -170,8 +171,8 @@ class VertexSearch:
     ) -> tuple[FloatArray, IntArray]:
         """Return the distance of each vertex from the motion, and the sample before that place.
 
-        Searched among the samples of its rows; if missed, among more. With ``unit`` (M, 3) the
-        tolerance is 1 of them.
+        The samples of its rows are searched first, and more of them if the vertex is missed there.
+        ``unit`` (M, 3): length per coordinate in which the tolerance is 1.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))

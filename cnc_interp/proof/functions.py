@@ -1,4 +1,4 @@
-"""The functions of a program came out in order, and lines in step follow the spindle's angle."""
+"""Check that functions act in order, and that lines in step follow the angle of the spindle."""
 
 from collections import Counter
 from collections.abc import Collection
@@ -16,16 +16,17 @@ from cnc_interp.proof.plan_files import Columns, PlanFiles, gathered
 from cnc_interp.proof.program_shapes import SLACK
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger
 
-SHALLOW = 0.5  #: A tapped hole may be less deep by so many turns [rev].
-KNOWN_ANGLES = (
-    0.9  #: The angle of the spindle is known in this share of the periods of a line [-].
-)
-MISSING = -1  #: In place of the setpoint of a function that did not come out.
-SAME_VALUE = 1e-9  #: Values of outputs that differ by less, in relation to their size, agree [-].
+SHALLOW = 0.5  #: Largest depth that a tapped hole may lack [rev].
+KNOWN_ANGLES = 0.9  #: Least share of a line's periods in which the spindle's angle is known [-].
+MISSING = -1  #: Setpoint number of a function that did not act.
+SAME_VALUE = 1e-9  #: Largest relative difference of equal output values [-].
 
 
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Demand order and place of all functions; of the machine's table only the waits count."""
+    """Check that every function acts in order and at the begin of its block.
+
+    Of the machine's table of functions, only the entries that wait for a rest count.
+    """
     found, signals, count = plan.functions, machine.signals, len(plan.block)
     block, step, sample = (found[name] for name in ('block', 'step', 'sample'))
     told = plan.summary.get('functions', {})
@@ -71,11 +72,11 @@ class Call:
     word: str
     line: int
     block: int
-    values: tuple[float, ...]  #: What each of its steps sets.
+    values: tuple[float, ...]  #: Value that each of its steps sets.
 
 
 def calls_of(found: Columns, signals: Signals) -> tuple[list[Call], str]:
-    """Return the functions, and which one lacks a step, or sets another value than its step."""
+    """Return the functions, and a fault if one lacks a step or a step sets a wrong value."""
     starts = {steps.start: word for word, steps in signals.words.items() if len(steps)}
     names = ('line_number', 'block', 'step')
     places = np.stack([np.asarray(found[name], dtype=np.int64) for name in names], axis=1)
@@ -106,9 +107,10 @@ def compare_calls(
     read: list[tuple[ReadCall, int]],
     known: Collection[str] = (),
 ) -> str:
-    """Compare functions with those of the text, each with its row; return the first difference.
+    """Compare functions with those ``read`` from the text; return the first difference.
 
-    A reader that knows only some words names them as ``known``.
+    ``read``: functions with their program rows. ``known``: words that the reader knows, if not
+    all.
     """
     planned = [
         call for call in calls_of(plan.functions, signals)[0] if not known or call.word in known
@@ -136,7 +138,10 @@ def compare_calls(
 
 
 def prove_followed(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Demand limits, pitch from an index on, depth and end of each line; a plan has no record."""
+    """Check the limits, pitch, depth and end of each line in step with the spindle.
+
+    Only a record of a run has such lines; a plan has none.
+    """
     found, record, words = plan.functions, plan.followed, machine.signals.words
     if not record or FOLLOWS not in words:
         return

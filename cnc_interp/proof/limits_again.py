@@ -1,4 +1,4 @@
-"""The limits of the axes where they are, and the torques of their drives, for the proof alone."""
+"""Axis limits at the positions of a motion, and drive torques, computed for the proof alone."""
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -6,7 +6,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine import Machine
 
-AT_REST = 1e-12  #: An axis that moves less than this in a period stands still [m or rad].
+AT_REST = 1e-12  #: An axis that moves less than this in a period is at rest [m or rad].
 
 
 def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
@@ -17,7 +17,7 @@ def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
 
 
 def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatArray:
-    """Return the largest limit between the samples of each difference, a mean over its samples."""
+    """Return the limits for differences: a difference averages, so the largest limit holds."""
     limits = np.tile(machine.limits.by_order[order - 1], (len(q) - order, 1))
     for j, of in machine.limits.placed:
         around = sliding_window_view(q[:, j], order + 1)
@@ -32,7 +32,7 @@ def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatA
 
 
 def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> FloatArray:
-    """|J a + B v + C sign(v)| around each sample but the ends; the smaller where it turns."""
+    """Return |J a + B v + C sign(v)| at each inner sample; the smaller one at a reversal."""
     load = machine.limits.loads[axis]
     before, after = q[1:-1] - q[:-2], q[2:] - q[1:-1]
     inertia = load.inertia * (after - before) / period**2

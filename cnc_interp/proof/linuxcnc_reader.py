@@ -1,7 +1,7 @@
 """LinuxCNC's interpreter (``rs274``) as the second reader of G-code, where it is installed.
 
-It prints what a machine would do, with four decimals, in a process with bounds. Comments are taken
-out before: it executes some of them as Python code.
+It prints the calls to the machine with four decimals, and runs in a process with limits. Comments
+are removed first, because rs274 executes some of them as Python code.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.proof.plain_reader import DWELL, PLANES, TCP_OFF, TCP_ON, ReadCall, ReadMove
 
-LAST_DIGIT = 1e-4  #: The last digit that is printed, in the unit of the program.
-LEAST_FEED = 0.1  #: No block of G93 is slower for it, in units of the program a minute.
-#: Processor time [s], also for each MB of the text; memory, and length of files written [bytes].
+LAST_DIGIT = 1e-4  #: Value of the last printed digit, in the unit of the program.
+LEAST_FEED = 0.1  #: Lowest feed that rs274 prints for G93 [program units/min].
+#: Processor time [s], and more per MB of the text [s]; memory and length of written files [bytes].
 SECONDS, SECONDS_PER_MB, MEMORY, FILES = 8, 2, 1 << 30, 1 << 26
-#: Lines that may be printed: so many, and for each row of the plan and each line of the text.
+#: Largest number of printed lines: BESIDE, and EACH for every row of the plan and line of the
+#: text.
 BESIDE, EACH = 1000, 20
 #: Comments, and words of other controls that LinuxCNC refuses and that move nothing.
 _COMMENT = re.compile(r'\([^()\n]*\)|;[^\n]*')
@@ -40,12 +41,12 @@ _SWITCH = re.compile(r'(?<![A-Z<_])(M(?:128|129|428|429))(?!\d)', re.IGNORECASE)
 _BLANK = re.compile(r'^[ \t]*/.*', re.MULTILINE)
 _SLASH = re.compile(r'^[ \t]*/', re.MULTILINE)
 _CALL = re.compile(r'^\s*\d+\s+N(?:\.+|\d+)\s*([A-Z]\w*)\((.*)\)\s*$')
-#: Cycles retract to their start unless told otherwise; a percent sign must remain the first line.
+#: The text begins after a percent sign, which must remain the first line. G98 is inserted there.
 _FIRST = re.compile(r'\A(\s*%[^\n]*\n)?')
 _NUMBER = re.compile(r'-?\d+\.?\d*')
 _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
-#: Words of a text without comments that cannot be compared, and why. A match begins at its letter:
-#: a pattern that begins at a line start would look at the whole rest of the text from each line.
+#: Words, outside comments, that cannot be compared, and why. Each pattern begins at its letter:
+#: one that begins at a line start would scan the rest of the text from every line.
 _NOT_COMPARED = tuple(
     (re.compile(pattern, re.IGNORECASE), why)
     for pattern, why in (
@@ -75,7 +76,7 @@ _NOT_COMPARED = tuple(
 
 
 class LinuxCNCError(InterpError):
-    """LinuxCNC is not installed, or does not read the program to its end."""
+    """LinuxCNC is not installed, or cannot read the program to its end."""
 
 
 def interpreter() -> str:
@@ -151,13 +152,13 @@ def _demand_end(said: str, code: int) -> None:
 
 
 def _from_zero(move: ReadMove, zero: FloatArray) -> ReadMove:
-    """Count a motion in machine coordinates from the workpiece zero."""
+    """Convert a motion from machine coordinates to coordinates from the workpiece zero."""
     centre = None if move.centre is None else move.centre - zero[list(move.plane[:2])]
     return replace(move, end=move.end - zero, centre=centre)
 
 
 def _prepared(text: str, skip: bool, setup: Setup) -> str:
-    """Return the text as rs274 reads it; before it the tool stands at the workpiece zero."""
+    """Return the text for rs274; a first line moves the tool to the workpiece zero."""
     text = (_BLANK if skip else _SLASH).sub('', _COMMENT.sub(' ', text.replace('\r', '')))
     if '(' in text or ';' in text or ')' in text:
         raise LinuxCNCError("LinuxCNC's rs274 does not get a comment within a comment")
@@ -188,7 +189,7 @@ def _moves(
             yield replace(move, rotary=move.rotary[columns])
 
 
-#: Calls that it prints for functions, and the words whose functions it prints all.
+#: Printed calls and their words. For the words in ``KNOWN_CALLS`` every function is printed.
 _CALLS = {
     'SET_SPINDLE_SPEED': 'S',
     'START_SPINDLE_CLOCKWISE': 'M3',
@@ -201,7 +202,7 @@ KNOWN_CALLS = ('S', 'M3', 'M4', 'G4')
 
 
 class _Printed:
-    """What holds while the calls are followed; lengths in m, angles in rad."""
+    """Modal state while the printed calls are followed; lengths in m, angles in rad."""
 
     def __init__(self) -> None:
         self.unit, self.plane, self.tcp = MM, PLANES['17'], False
@@ -330,24 +331,24 @@ class _Printed:
 
 
 OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
-#: First parameters of the positions, and the unit of LinuxCNC's files [mm].
+#: First parameter number of each position, and the unit of LinuxCNC's files [mm].
 G28, G30, G92_ON, ACTIVE, G54, BETWEEN, INCH = 5160, 5180, 5210, 5220, 5220, 20, 25.4
-ROTATION = 10  #: The parameter of the rotation of a work offset, from its first one.
+ROTATION = 10  #: Offset from the first parameter of a work offset to its rotation.
 
 
 @dataclass(frozen=True)
 class Setup:
     parameters: Mapping[int, float] = field(default_factory=dict)  #: By number [inch, deg].
     tool_lengths: Mapping[int, float] = field(default_factory=dict)  #: By their numbers [m].
-    tool: int = 0  #: The tool in the spindle; 0: none.
-    #: (3,): Machine coordinates of the workpiece zero, from which motions count [m].
+    tool: int = 0  #: Tool in the spindle; 0 if it is empty.
+    #: (3,): Machine coordinates of the workpiece zero, the origin of all motions [m].
     zero: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 def cutters_of(text: Any) -> dict[int, tuple[float, float, float]] | None:
-    """Return radius, corner radius (NaN: unknown) and length of the tools of a setup [m].
+    """Return radius, corner radius (NaN if unknown) and length of the tools of a setup [m].
 
-    None if the setup has more than tools.
+    Return None if the setup holds more than a tool table.
     """
     if not text:
         return {}

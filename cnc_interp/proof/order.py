@@ -1,8 +1,8 @@
-"""The motion follows the program in order: every vertex once, none left out, none twice.
+"""Check that the motion follows the program in order: it passes every vertex exactly once.
 
-It can be run through beside the program without going back, never further apart than the
-tolerance: the Frechet distance of two polygons [Alt and Godau, Computing the Frechet distance
-between two polygonal curves, 1995], for the tip, the point at flank height, and named axes.
+Motion and program can be traversed together, neither going back, without exceeding the tolerance.
+That is the Frechet distance of two polygons [Alt and Godau, Computing the Frechet distance between
+two polygonal curves, 1995]. It is checked for the tip, the point at flank height, and named axes.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from cnc_interp.proof.plan_files import Stored, held, spans
 from cnc_interp.proof.program_shapes import ProgramShapes
 from cnc_interp.proof.programmed_path import peaks
 
-ROOM = 2.0  #: Between vertices a distance of so many tolerances is in order.
-JOINT_ROOM = 3.0  #: Likewise for tip, rotary and extra axes together, at the vertices too.
-CHORD_SHARE = 0.05  #: The pieces that replace a circle are so near to it, in tolerances.
+ROOM = 2.0  #: Largest accepted distance between vertices, in tolerances [-].
+#: The same for tip, rotary and extra axes together; it also holds at vertices [-].
+JOINT_ROOM = 3.0
+CHORD_SHARE = 0.05  #: Largest distance of the chords of a circle from it, in tolerances [-].
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,8 @@ class Pieces:
     #: (P, D): Coordinates at both ends of each piece.
     start: FloatArray
     end: FloatArray
-    room: FloatArray  #: (P, D): Distance in order along each piece; infinite: not compared.
-    #: (P + 1, D): Coordinates of all ends, the very start first, and the distance in order there.
+    room: FloatArray  #: (P, D): Accepted distance along each piece; infinite if not compared.
+    #: (P + 1, D): Coordinates of start and all ends, and the accepted distance there.
     vertex: FloatArray
     vertex_room: FloatArray
 
@@ -58,19 +59,21 @@ class Pieces:
 
 @dataclass
 class Pursuit:
-    #: Start, way and room of the P pieces; place and room of their ends.
+    #: Start, vector and accepted distance of the P pieces; place and accepted distance of their
+    #: ends.
     pieces: tuple[FloatArray, ...]
-    low: FloatArray  #: (P,): Least part of each piece in reach at the last sample, or infinite.
-    #: The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
+    #: (P,): Smallest reachable part of each piece at the last sample, or infinite.
+    low: FloatArray
+    #: The pieces reachable at that sample are among [begin, stop).
     begin: int = 0
     stop: int = 1
-    furthest: int = 0  #: Furthest piece that can have been reached; P at the end of the last.
-    lost: int = -1  #: Sample at which no piece can be reached, or -1.
+    furthest: int = 0  #: Farthest piece reached so far; P at the end of the last one.
+    lost: int = -1  #: First sample at which no piece can be reached, or -1.
 
     def follow(self, points: FloatArray, first: int, count: int) -> tuple[IntArray, IntArray]:
-        """Follow with k samples; return first and last piece each can have reached, or -1.
+        """Advance by k samples; return the first and last piece that each can have reached, or -1.
 
-        ``points`` (k + 3, D) has two samples before and one after, repeated beyond the ends.
+        ``points`` (k + 3, D) also has two samples before and one after; end samples are repeated.
         """
         # The chord of the motion at a sample begins one before; no chord bulges beyond the ends.
         bulge, more = np.abs(np.diff(points, 2, axis=0)) / 8.0, peaks(points)
@@ -97,9 +100,10 @@ class Pursuit:
 
 @dataclass(frozen=True)
 class Order:
-    #: What leaves the order, at which sample, and the furthest program row it reached.
+    #: Quantities that leave the order, with the sample where, and the farthest program row
+    #: reached.
     left: tuple[tuple[str, int, int], ...]
-    #: (K,): First and last program row that each sample can execute; in temporary files.
+    #: (K,): First and last program row that each sample may execute; stored in temporary files.
     low: Stored
     high: Stored
 
@@ -244,7 +248,10 @@ class _Shapes:
 def _near(
     p: FloatArray, a: FloatArray, d: FloatArray, room: FloatArray, radius: float
 ) -> tuple[float, float]:
-    """Return the part of a + x d within ``radius`` of p, counted in ``room``; 1, 0 for none."""
+    """Return the range of x in [0, 1] with a + x d within ``radius`` of p, in units of ``room``.
+
+    It is (1, 0) if there is no such x.
+    """
     length_sq, along = 0.0, 0.0
     for c in range(len(p)):
         step = d[c] / room[c]
@@ -275,11 +282,11 @@ def _follow(
     ends: bool,
     reached: IntArray,
 ) -> tuple[int, int, int, int]:
-    """Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
+    """Update the reachable pieces from sample to sample, and return the new state of `Pursuit`.
 
-    ``pieces``: starts, ways and rooms, then ends and their rooms. ``passed`` is the earliest part
-    of the present chord of the motion at which the end of the piece before can be reached. Cells
-    of chord and piece are convex, so nothing else counts.
+    ``pieces``: as in `Pursuit`. ``passed`` is the earliest part of the present chord of the motion
+    at which the end of the preceding piece can be reached. The free cell of a chord and a piece is
+    convex, so this value is all that must be kept.
     """
     start, way, room, end, end_room = pieces
     begin, stop, furthest = pursuit

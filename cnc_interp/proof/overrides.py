@@ -1,4 +1,4 @@
-"""The overrides of the operator over the setpoints of a run, and what they allow each row."""
+"""The operator's overrides during a run, and the feed that they allow in each row."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cnc_interp.proof.plan_files import PlanFiles, spans
 
 
 class Overrides:
-    """Shares of the programmed feed that count, from setpoint ``first[k]`` on."""
+    """Factors on the programmed feed; factor k holds from setpoint ``first[k]`` on."""
 
     def __init__(self, plan: PlanFiles, machine: Machine):
         steps = np.array(plan.summary.get('overrides', [[0, 1.0, 1.0]]), dtype=float)
@@ -31,18 +31,18 @@ class Overrides:
         self._turns &= value_in_rows(plan, machine, SPINDLE_FIXED, rows) == 0.0
 
     def in_rows(self, row: IntArray) -> Overrides:
-        """Return the same for rows that are made of those of the program."""
+        """Return the overrides for rows derived from the program; ``row``: their program rows."""
         found = copy(self)
         found._fixed, found._turns = self._fixed[row], self._turns[row]
         return found
 
     def share(self, k: int) -> FloatArray:
-        """Return the factor of a step on the feed of each row: M49 and G95 change it."""
+        """Return factor k for the feed of each row; M49 and G95 make it differ between rows."""
         feed = np.where(self._fixed, 1.0, self._feed[k])
         return np.asarray(feed * np.where(self._turns, self._spindle[k], 1.0))
 
     def spans(self, count: int) -> Iterator[tuple[int, int, FloatArray]]:
-        """Yield parts of so many setpoints in which one share counts for each row."""
+        """Divide ``count`` setpoints into ranges of constant factors; yield these with each."""
         for a, b in spans(count):
             inner = self.first[(self.first > a) & (self.first < b)].tolist()
             for first, last in pairwise([a, *inner, b]):
@@ -53,10 +53,10 @@ class Overrides:
         return max(int(np.searchsorted(self.first, sample, side='right')) - 1, 0)
 
     def near(self, place: FloatArray, s: FloatArray, rows: IntArray) -> FloatArray:
-        """Return the largest share on the way between the neighbours of places.
+        """Return the largest factor between the two neighbours of each place.
 
-        ``place`` [m] has one neighbour more at each end than ``rows``; ``s`` [m] is the place of
-        each step.
+        ``place`` [m] has one more entry at each end than ``rows``; ``s`` [m] is the place where
+        each factor begins.
         """
         low = np.searchsorted(s, place[:-2], side='right') - 1
         high = np.searchsorted(s, place[2:], side='right') - 1
@@ -79,5 +79,5 @@ def value_in_rows(plan: PlanFiles, machine: Machine, name: str, rows: IntArray) 
 
 
 def scaled(feed: FloatArray, share: FloatArray) -> FloatArray:
-    """Scale feeds; a row without a feed stays without one."""
+    """Multiply feeds by factors; rows without a feed (not finite) are unchanged."""
     return np.where(np.isfinite(feed), feed, 0.0) * share + np.where(np.isfinite(feed), 0.0, feed)

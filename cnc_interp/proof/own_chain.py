@@ -1,4 +1,4 @@
-"""Where the joints of an arm bring its tool: read again from its files, link by link."""
+"""Forward kinematics of an arm, computed again from its files, link by link."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def forward_of(machine: Machine) -> Forward:
 
 @dataclass(frozen=True)
 class OwnChain:
-    #: Frames that are fixed to each other (4, 4), and between them the axis (3,) of each joint.
+    #: Fixed transforms (4, 4), and the axis (3,) of the joint between each two of them.
     frames: list[FloatArray]
     axes: list[FloatArray]
 

@@ -1,4 +1,4 @@
-"""The proof of `path.npz`: its columns follow from setpoints, program or q(s); own code."""
+"""The proof of `path.npz`: its columns are recomputed from setpoints, program and q(s)."""
 
 from collections.abc import Iterator
 
@@ -21,14 +21,15 @@ from cnc_interp.proof.verdict import Ledger
 
 ROUND_TRIP = 1e-8  #: Largest distance of setpoints, forward kinematics and path file [m, rad].
 SAME = 1e-6  #: Largest accepted relative difference of figures that are computed twice [-].
-ROUNDED = 1e-14  #: Values of axes are rounded by less [m, rad].
+ROUNDED = 1e-14  #: Bound of rounding errors in axis positions [m, rad].
 # Speeds that differ by less agree [-], and those that differ by less than this [m/s].
 SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
 JUMPS = {1: 1e-6, 2: 1e-2}
-TURNS = 1e6  #: A path that is longer than its tip's way by this factor turns at rest [-].
-#: A chord of directions over the way of the tip that counts the turn as path; the feed of the tip
-#: itself is proven at the setpoints [1/m].
+#: If a path is longer than the way of its tip by this factor, the tip rests while it turns [-].
+TURNS = 1e6
+#: Above this turn of the tool axis per way of the tip, path length counts the turn. The feed of
+#: the tip itself is proven at the setpoints [1/m].
 SWIVEL = 10.0 / MM
 ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 
@@ -119,7 +120,7 @@ def _prove_feeds(
 
 
 def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return rows that the path names, and the highest feed up to the ones around each [m/s]."""
+    """Return the rows that the path names, and the highest feed in and around each [m/s]."""
     blocks = plan.blocks
     length = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
     free = blocks['rapid'] | np.isfinite(blocks['duration']) | (blocks['interpolation'] != 0)
@@ -224,7 +225,7 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
 
 
 def _path_jerk(ledger: Ledger, first: int, last: int) -> FloatArray:
-    """Return the jerk along the path that the axes allow at grid points, both sides [m/s3]."""
+    """Return the path jerk that the axes allow on both sides of grid points [m/s3]."""
     path, cells = ledger.plan.path, len(ledger.plan.path['s']) - 1
     found = np.zeros(last - first)
     for name, shift in (('cell_left', 0), ('cell_right', -1)):

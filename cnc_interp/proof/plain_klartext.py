@@ -1,4 +1,4 @@
-"""Plain text of Heidenhain as plain words of G-code, for the second reader; it has no loops."""
+"""Heidenhain plain text (Klartext) as plain G-code for the second reader; without loops."""
 
 import re
 from collections.abc import Callable
@@ -16,7 +16,7 @@ _WORD = re.compile(
 _CYCLE = re.compile(r'CYCL\s+DEF\s*(\d+)\.(\d+)\s*(.*)')
 _OF_CYCLE = re.compile(rf'(SCL|I?(?:CC)?[XYZ])\s*({_NUMBER})?\s*')
 _TOOL = re.compile(rf'TOOL CALL (\d+) Z((?:\s*[SF]\s*{_NUMBER})*)')
-#: M codes that mean what they do in G-code.
+#: M codes with the same meaning as in G-code.
 _SAME_M = {'M0', 'M1', 'M2', 'M3', 'M4', 'M5', 'M7', 'M8', 'M9', 'M30', 'M128', 'M129'}
 
 
@@ -27,7 +27,7 @@ class Klartext:
         self.shift, self.scale, self.about = np.zeros(3), np.ones(3), np.zeros(3)
 
     def lines(self, text: str, here: dict[str, float]) -> list[str]:
-        """Return lines of G-code; ``here``: program coordinates in units of the program."""
+        """Return lines of G-code; ``here``: present coordinates in units of the program."""
         text = re.sub(r'^\s*\d+(?!\S)|;.*', '', text).strip()
         if not text:
             return []

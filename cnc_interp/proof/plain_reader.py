@@ -1,6 +1,6 @@
 """A second reader of part programs, for plain words only; it shares no code with the first one.
 
-What is not understood cannot be compared, so it is refused.
+It refuses programs with words that it does not know, because these cannot be compared.
 """
 
 import re
@@ -13,7 +13,7 @@ import numpy as np
 from cnc_interp.core import DEG, MM, FloatArray, ProgramError
 from cnc_interp.proof.plain_klartext import Klartext
 
-#: G codes that move nothing and set nothing here.
+#: G codes that have no effect in this reader.
 IDLE_G = frozenset(
     (
         '4',
@@ -41,19 +41,19 @@ IDLE_G = frozenset(
 )
 TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
 REFUSED_M = ('M17', 'M61', 'M70', 'M71', 'M72', 'M73', 'M98', 'M99', 'M198')
-#: Words that wait for the operator, and M codes that act before the others of their block.
+#: Words that wait for the operator; order of the M codes that act before others of their block.
 STOPS, FIRST = ('M1', 'M0', 'M60'), {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
-#: Words of outputs and inputs by their number, each with what it is like.
+#: Words of outputs and inputs, with the word under which each is compared.
 BY_NUMBER = {
     **{'M62': 'M64 P', 'M64': 'M64 P', 'M63': 'M65 P', 'M65': 'M65 P'},
     **{'M67': 'M68 E', 'M68': 'M68 E', 'M66': 'M66 P'},
 }
-DWELL, FIXED = 'dwell', 'fixed'  #: Names of the values of G4 [s], and of M50 and M51.
-TAKE_P = {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}  #: Codes with their own P.
+DWELL, FIXED = 'dwell', 'fixed'  #: Names for the value of G4 [s], and of M50 and M51.
+TAKE_P = {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}  #: Codes that use P themselves.
 # Words of G-code after which a number follows and that move nothing.
 IDLE_LETTERS = frozenset('NMSTDHPQLE')
 PLANES = {'17': (0, 1, 2), '18': (2, 0, 1), '19': (1, 2, 0)}
-#: What codes set, by the names of the attributes of ``_State``.
+#: Attributes of ``_State`` that each code sets.
 _SETS: dict[str, dict[str, Any]] = {
     'G0': {'motion': '0'},
     'G1': {'motion': '1'},
@@ -115,48 +115,50 @@ def _numbered(code: str, words: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class ReadMove:
-    line: int  #: Line of the text; 0 where the reader does not know it.
+    line: int  #: Line of the text; 0 if the reader does not know it.
     rapid: bool  #: Whether it is a rapid.
     end: FloatArray  #: (3,): X Y Z at its end [m].
-    rotary: FloatArray  #: (2,) or (0,): Rotary axes at its end [rad].
-    axis: FloatArray | None  #: (3,): Tool axis, where the program gives it.
+    rotary: FloatArray  #: (2,) or (0,): Rotary positions at its end [rad].
+    axis: FloatArray | None  #: (3,): Tool axis; None unless the program gives it.
     extra: FloatArray  #: (k,): Extra axes at its end [m].
-    #: Feed [m/s] and duration [s]; NaN where it has none.
+    #: Feed [m/s] and duration [s]; NaN if not programmed.
     feed: float
     duration: float
-    tcp: bool  #: Whether X Y Z are the tool tip. Otherwise they are axis positions.
-    plane: tuple[int, int, int] = (0, 1, 2)  #: Both axes of an arc's plane, and the one across.
+    tcp: bool  #: Whether X Y Z are the tool tip; otherwise they are axis positions.
+    #: Both axes in the plane of an arc, and the one normal to it.
+    plane: tuple[int, int, int] = (0, 1, 2)
     centre: FloatArray | None = None  #: (2,): Centre of an arc in its plane [m].
     sweep: int = 0  #: 1 for a counter-clockwise arc, -1 for a clockwise one, 0 for a line.
-    turns: int = 1  #: Turns of an arc, the last one mostly not whole.
-    digit: float = 0.0  #: Last digit of lengths that the reader knows [m]; 0 where it knows all.
-    unsure: float = 0.0  #: Share of feed or duration up to which the reader knows it [-].
-    tolerance: float = float('nan')  #: Programmed contour tolerance [m]; NaN: of the settings.
-    orientation: float = float('nan')  #: Programmed orientation tolerance [m]; NaN likewise.
+    turns: int = 1  #: Number of turns of an arc; the last may be partial.
+    digit: float = 0.0  #: Value of the last known digit of lengths [m]; 0 if they are exact.
+    unsure: float = 0.0  #: Relative uncertainty of feed or duration in this reader [-].
+    tolerance: float = float('nan')  #: Contour tolerance [m]; NaN if the settings give it.
+    orientation: float = float('nan')  #: Orientation tolerance [m]; NaN likewise.
     stop: bool = False  #: Whether the text demands a rest at its end.
-    #: Whether the text has named a rotary axis so far, and its words are where the axes end: on
-    #: great circles they only tell the direction of the tool.
+    #: Whether a rotary axis has been programmed, and its words are end positions of the axes. On
+    #: great circles the words give only the direction of the tool.
     worded: bool = False
-    #: (3,): Normal of the part, where ``end`` is the point at which the cutter touches it.
+    #: (3,): Normal of the part, if ``end`` is the cutter contact point.
     normal: FloatArray | None = None
-    cutter: tuple[float, float] = (0.0, 0.0)  #: Radius beyond its corner, and of the corner [m].
-    turn_feed: float = float('nan')  #: Its feed if only rotary axes turn [rad/s].
-    length: float = 0.0  #: Tool length along the tool beyond the tip of the machine file [m].
+    #: Tool radius minus corner radius, and corner radius [m].
+    cutter: tuple[float, float] = (0.0, 0.0)
+    turn_feed: float = float('nan')  #: Feed of a motion of rotary axes alone [rad/s].
+    length: float = 0.0  #: Tool length beyond the tip of the machine file [m].
 
 
 @dataclass(frozen=True)
 class ReadCall:
-    """A function or a program stop of the text, between the motions where it acts."""
+    """A function or a program stop of the text, placed between motions where it acts."""
 
-    line: int  #: Line of the text; 0 where the reader does not know it.
+    line: int  #: Line of the text; 0 if the reader does not know it.
     word: str
-    #: Values of its letters (S, T, P, Q, ``DWELL``), each any of several that the text may mean.
+    #: Values of its letters (S, T, P, Q, ``DWELL``); several if the text is ambiguous.
     given: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class PlainSettings:
-    """What a text does not say about itself."""
+    """Settings that a program text does not contain."""
 
     feed: float | None = None  #: Feed of a program without F [m/s].
     skip: bool = False  #: Whether lines that begin with a slash are left out.
@@ -164,9 +166,10 @@ class PlainSettings:
     tools: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     tool: int = 0  #: The tool in the spindle.
     height: float = float('nan')  #: Flank height, at which an angle of tolerance counts [m].
-    after: Collection[str] = ('M2', 'M5', 'M9', 'M30')  #: Words that act after their motion.
+    #: Words that act after the motion of their block.
+    after: Collection[str] = ('M2', 'M5', 'M9', 'M30')
     by_hand: bool = True  #: Whether the operator changes the tool at M6.
-    dwells: tuple[float, ...] = (1.0,)  #: What P of a dwell without a point may count [s].
+    dwells: tuple[float, ...] = (1.0,)  #: Possible units of an integer P in a dwell [s].
 
 
 def read_plainly(
@@ -212,7 +215,7 @@ class _State:
         self.turn_feed = self.feed / MM * DEG
         self.ended = False
         self.tolerance = self.orientation = float('nan')
-        #: Where axes are mirrored, their scales and the point about which they are scaled.
+        #: Positions of the mirrors of axes; scales of the axes and the fixed point of scaling.
         self.mirrors: dict[int, float] = {}
         self.scales, self.about = np.ones(3), np.zeros(3)
         self.shift = np.zeros(3)  # by G52
@@ -364,12 +367,12 @@ class _State:
         return np.asarray(self.scales * sides)
 
     def offset(self) -> FloatArray:
-        """Return where the zero of the program is, mirrored, scaled and shifted [m]."""
+        """Return the program zero after mirroring, scaling and shifting [m]."""
         mirrored = np.array([2.0 * self.mirrors.get(k, 0.0) for k in range(3)])
         return np.asarray(self.shift + self.about + self.scales * (mirrored - self.about))
 
     def coordinates(self) -> dict[str, float]:
-        """Return the coordinates of the program here, in its unit and deg."""
+        """Return the present program coordinates, in the unit of the program and deg."""
         lengths = (self.here[:3] - self.offset()) / self.factor() / self.unit
         return dict(zip(self.names, [*lengths, *self.here[3:] / DEG], strict=True))
 
@@ -391,7 +394,7 @@ class _State:
         self.by_normals, self.cutter = True, (radius - corner, corner)
 
     def measure(self, codes: list[str], number: float | None) -> None:
-        """Take the tool length of G43.4 H; G43 with a length is for another reader."""
+        """Take the tool length of G43.4 H; G43 with a length is refused."""
         known = {0: (0.0, 0.0, 0.0), **self.tools}
         named = 0 if number is None else int(number)
         if {'G43', 'G43.4'} & set(codes) and named not in known:

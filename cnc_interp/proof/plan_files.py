@@ -1,4 +1,4 @@
-"""Plan files, read for a check by anyone; columns may be longer than the memory, so in chunks."""
+"""Read plan files for checks. Columns may exceed the memory, so they are read in chunks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json
 from cnc_interp.core.tables import Column
 
-Columns = Mapping[str, Any]  #: Columns by their names: arrays, or in a file (``Stored``).
+Columns = Mapping[str, Any]  #: Columns by name: arrays, or ``Stored`` columns in files.
 
 # A default makes a column optional. Where it is NaN, values may be missing. n: number of axes.
 REAL, WHOLE, LOGICAL = Column(), Column((), np.int64), Column((), np.bool_)
@@ -78,8 +78,8 @@ COLLISION_COLUMNS = {
     'hit': LOGICAL,
     'witness': Column((6,)),
 }
-#: Files that only some plans have: why nothing hits, what the program switches, and lines in step
-#: with the spindle.
+#: Files that only some plans have: certificates against collision, cut and remaining stock,
+#: functions, and lines in step with the spindle.
 SELDOM = {
     'collision': COLLISION_COLUMNS,
     'removal': {'begin': REAL, 'end': REAL, 'removed': REAL},
@@ -95,11 +95,11 @@ SELDOM = {
 }
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
-MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))  #: No limit.
+MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))  #: Infinite means no limit.
 LARGEST = (0.0, 1.5), (0.5, 1.2)  #: Ranges of the feed and the spindle override [-].
-#: Ranges of figures that a summary must have [s, m].
+#: Ranges of figures that every summary must contain [s, m].
 RANGES = {'interpolation_period': (1e-5, 0.1), 'flank_height': (0.0, 1e3)}
-MOST_SAMPLES = 1 << 62  #: No plan has so many setpoints.
+MOST_SAMPLES = 1 << 62  #: More than any plan has.
 # Most columns of a file; the length [bytes] above which it may unpack to so many times its length.
 MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
 # What the readers of archives and arrays raise for files that are not sound.
@@ -123,12 +123,12 @@ LOCAL_HEADER = struct.Struct('<26sHH')
 # Rows of less length have no feed [m]; a unit vector is so long to rounding.
 NO_LENGTH, UNIT = 1e-9, 1e-6
 CHUNK = 1 << 14  #: Rows that are proven at a time.
-BY_PROBE = 'the probe has ended it'  #: How ``cut`` begins for the part of a program with probes.
-BY_OPERATOR = 'the operator has ended it'  #: The same after a hold or an emergency stop, in a bag.
+BY_PROBE = 'the probe has ended it'  #: First words of ``cut`` if a probe ended the motion.
+BY_OPERATOR = 'the operator has ended it'  #: Likewise after a hold or an emergency stop, in a bag.
 
 
 class Stored:
-    """A column in a file, read by a number, a slice or ``[:, slice]``, written by a slice."""
+    """A column in a file. Read it by index, slice or ``[:, slice]``; write it by slice."""
 
     def __init__(self, file: BinaryIO, start: int, dtype: DTypeLike, shape: tuple[int, ...]):
         self._file, self._start = file, start
@@ -184,7 +184,7 @@ def spans(count: int) -> Iterator[tuple[int, int]]:
 
 
 def held(column: Any, first: int, last: int, before: int, after: int) -> NDArray[Any]:
-    """Return rows of a column with neighbours; beyond its ends the end row is repeated."""
+    """Return rows [first, last) with neighbours; beyond the column, end rows repeat."""
     low, high = max(first - before, 0), min(last + after, len(column))
     edges = ((before - (first - low), after - (high - last)), *[(0, 0)] * (column.ndim - 1))
     return np.pad(column[low:high], edges, mode='edge')
@@ -207,16 +207,16 @@ class PlanFiles:
     path: Columns  #: Grid of the planner, with the columns of ``path.npz``; empty for a bag.
     blocks: Columns  #: Program rows, the start pose first, with all optional columns present.
     summary: Mapping[str, Any]  #: Contents of ``summary.json``.
-    #: What the program switches, and the number of the setpoint with which it came (``sample``).
+    #: Functions of the program, and the number of the setpoint at which each acted (``sample``).
     functions: Columns = field(
         default_factory=lambda: {name: of.filled(0) for name, of in FUNCTION_COLUMNS.items()}
     )
-    #: Certificates of clearances, and hits; of a plan with a scene only.
+    #: Certificates of clearances, and hits; empty without a scene.
     collision: Columns = field(default_factory=dict)
-    #: Pieces of motion that cut the stock, and the material that is left on its lines.
+    #: Pieces of motion that cut the stock, and the remaining material on its lines.
     removal: Columns = field(default_factory=dict)
     remaining: Columns = field(default_factory=dict)
-    #: Setpoints of lines in step with the spindle, and its ``angle`` [rev]; of a record only.
+    #: Setpoints of lines in step with the spindle and its ``angle`` [rev]; only records have them.
     followed: Columns = field(default_factory=dict)
 
     def in_memory(self) -> PlanFiles:
@@ -237,17 +237,17 @@ class PlanFiles:
 
     @property
     def starts_inside(self) -> bool:
-        """Return if the run started inside the program; row 0 is the end of the row before."""
+        """Whether the run started inside the program; row 0 is then the end of the skipped row."""
         return bool(self.summary.get('start'))
 
     @property
     def cut(self) -> str:
-        """Return where a record ends before its program does, in words; empty for all else."""
+        """Text that says where a record ends early; empty if the program is complete."""
         return str(self.summary.get('cut', ''))
 
     @property
     def by_probe(self) -> bool:
-        """Whether it ends where a probe has answered, at rest."""
+        """Whether the motion ends at rest because a probe has answered."""
         return self.cut.startswith(BY_PROBE)
 
     @property

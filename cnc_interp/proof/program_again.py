@@ -1,4 +1,4 @@
-"""The text read again, by LinuxCNC or as plain words: ends, arcs, feeds against `blocks.npz`."""
+"""Read the program text again, by LinuxCNC or as plain words, and compare it with the blocks."""
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -36,17 +36,17 @@ from cnc_interp.proof.verdict import Proof
 
 # Ends agree within this [m, -, rad] and so many last digits; feeds and durations by this share.
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
-STILL = 1e-12  #: A shorter way is none, so that what turns sets the time [m].
-ROUNDED = 0.75  #: An angle is printed within so many last digits.
+STILL = 1e-12  #: A shorter way counts as zero: the turning axes then set the time [m].
+ROUNDED = 0.75  #: Largest error of a printed angle, in last digits.
 # A row inside a motion may lie beside it by this share of the tolerances: curves become lines.
 CHORD = 0.11
-PARALLEL = 1e-6  #: Sine of the angle up to which a normal is parallel to the tool.
+PARALLEL = 1e-6  #: Sine below which a normal counts as parallel to the tool.
 Read = ReadMove | ReadCall
 WAITS = {GO_ON: 'no program stop', STOP: 'M0', OPTIONAL_STOP: 'M1'}
 STOP_LAST = 1 + max(WAITS)
-#: Words of a probe, and calls of subprograms, which may have them.
+#: Words of probing, and calls of subprograms that may contain them.
 _TOUCHES = re.compile(r'G\s*0?31|G\s*38\.[2-5]|MEAS|CALL|G\s*65|M\s*98|CYCLE9')
-UNKNOWN = (float('nan'), float('nan'))  #: Tolerances of settings that are not known [m].
+UNKNOWN = (float('nan'), float('nan'))  #: Tolerances if the settings are unknown [m].
 # Cycles that LinuxCNC ends otherwise than other controls.
 _OTHER_HOLES = re.compile(r'(?<![A-Z<_])G[ \t]*0*(?:74|84|89)(?![\d.])', re.IGNORECASE)
 LONGEST = 64 << 20  #: Longest program that is read [bytes].
@@ -54,11 +54,11 @@ LONGEST = 64 << 20  #: Longest program that is read [bytes].
 
 @dataclass(frozen=True)
 class Agreement:
-    #: Motions of the text, and arcs among them.
+    #: Number of motions in the text, and of arcs among them.
     motions: int
     arcs: int
     faults: tuple[str, ...]  #: One sentence for each line that differs.
-    readers: str = ''  #: Who has read the text, and who has not, and why.
+    readers: str = ''  #: Which readers have read the text, and why others have not.
 
 
 def with_program(proof: Proof, found: Agreement) -> Proof:
@@ -69,7 +69,7 @@ def with_program(proof: Proof, found: Agreement) -> Proof:
 
 
 def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agreement:
-    """Compare rows with the program read by other readers; InterpError if none knows all words."""
+    """Compare the blocks with the text as other readers read it; InterpError if none can."""
     settings = plan.settings
 
     def demand(holds: bool, why_not: str) -> None:
@@ -171,7 +171,7 @@ def compare_places(
 
 
 class _Comparison:
-    """Follows the rows of a plan with the motions of its text, by the numbers of the lines."""
+    """Matches motions of the text with rows of the plan by their line numbers."""
 
     def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float]):
         self.blocks, self.machine, self.tolerances = blocks, machine, tolerances
@@ -202,7 +202,7 @@ class _Comparison:
         return self.row
 
     def waits(self, plan: PlanFiles, known: Collection[str] = ()) -> tuple[str, ...]:
-        """Return what differs in functions and program stops."""
+        """Return the differences in functions and program stops."""
         signals = self.machine.signals
         waits = np.zeros(len(self.blocks['line']), dtype=np.int64)
         waits_first, faults = False, []
@@ -251,7 +251,7 @@ class _Comparison:
         return tip[0], axes[0]
 
     def end_of(self, move: ReadMove, length: float) -> FloatArray:
-        """Return where the tip of a tool of another length is at the end of a motion, (3,) [m]."""
+        """Return the tip at the end of a motion, for a tool shorter by ``length``, (3,) [m]."""
         end, axis = self.pose(move)
         return np.asarray(end - length * axis)
 
@@ -420,7 +420,7 @@ class _Comparison:
                 self.fault(move, f'has F {found} {worst / MM_PER_MIN:.6g}')
 
     def unsure_time(self, move: ReadMove, wanted: float, rows: IntArray) -> float:
-        """Return by how much the digits of the reader leave the time of a motion open [s]."""
+        """Return the uncertainty of the time of a motion due to the reader's digits [s]."""
         unsure = move.unsure * wanted
         if np.isnan(move.duration):
             unsure += 2.0 * SAME_PLACE / move.feed
@@ -429,9 +429,10 @@ class _Comparison:
         return unsure
 
     def lasts(self, move: ReadMove, before: ReadMove, rows: IntArray) -> list[float]:
-        """Return what a motion may last [s]: as written, or at the feed of what moves.
+        """Return the possible durations of a motion [s]: as written, or from its feed.
 
-        X Y Z move, or the tip; or else extra axes; or else the rotary axes turn.
+        The feed is that of X Y Z or the tip; if these rest, of the extra axes, else of rotary
+        axes.
         """
         if np.isfinite(move.duration) or np.isnan(move.feed):
             return [move.duration]
@@ -494,7 +495,7 @@ class _FollowPlaces(_Comparison):
         return super().take(move)
 
     def rows_of(self, move: ReadMove) -> int:
-        """Return the row after those of a motion: the first one at its end, in one line."""
+        """Return the row after those of a motion, which end at the first row at its end point."""
         before = self.before
         if before is None:
             return 1
@@ -558,12 +559,12 @@ def _place(move: ReadMove) -> float:
 
 
 def _angle(move: ReadMove) -> float:
-    """Return by how much tool axis and rotary words may differ [rad]; digits are of degrees."""
+    """Return the accepted difference of tool axis and rotary words [rad]."""
     return SAME_PLACE + (DIGITS * second.LAST_DIGIT * DEG if move.digit else 0.0)
 
 
 def _blur(move: ReadMove, start: FloatArray) -> float:
-    """Return how well the angle of an arc is known [rad]."""
+    """Return the uncertainty of the angle of an arc [rad]."""
     return 4.0 * move.digit / max(float(np.linalg.norm(_arms(move, start))), 1e-12)
 
 

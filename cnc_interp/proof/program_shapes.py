@@ -1,4 +1,4 @@
-"""What a plan was made for, in shapes that its motion is compared with, and that comparison."""
+"""The program as geometric shapes, and the comparison of a motion with them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from cnc_interp.proof.own_chain import Forward, forward_of
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath
 
-SAME = 1e-9  #: Two tool axes that differ by less are equal [-], a tip that moves less rests [m].
-SMALL_USE = 0.02  #: A use of the tolerances below this is not improved by a search [-].
+SAME = 1e-9  #: Tool axes that differ by less are equal [-]; a tip that moves less rests [m].
+SMALL_USE = 0.02  #: Smallest use of the tolerances that is refined by a search [-].
 # Golden section: number of steps, and the share of the bracket that each one keeps.
 STEPS, SHARE = 40, 0.5 * (np.sqrt(5.0) - 1.0)
 # Up to this way from a row whose rotary axes run linearly, its coordinates count [m].
 JOINED = 5e-3
-#: Places of rotary and extra axes among the coordinates.
+#: Indices of rotary and extra axes among the coordinates.
 TURN, EXTRA = slice(3, 5), slice(5, None)
 BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 
@@ -33,18 +33,18 @@ class ProgrammedAxes:
     #: (M,): Rows whose rotary axes run linearly; known rows in coordinates of the machine axes.
     linear: BoolArray
     in_axes: BoolArray
-    #: (M, n): Coordinates at the start of known rows, and what they move by [m, rad].
+    #: (M, n): Coordinates at the start of known rows, and their change along the row [m, rad].
     start: FloatArray
     step: FloatArray
     tolerance: FloatArray  #: (M, 2): Contour and orientation tolerance of each row [m].
-    #: (2, M, 2): These tolerances over the smaller one of this row and the row before it, which
-    #: counts at its start, and likewise of the row after it.
+    #: (2, M, 2): Each tolerance divided by the smaller one of this row and a neighbour: the row
+    #: before it, for the first half, and the row after it, for the second half.
     weight: FloatArray
     height: float  #: Flank height [m].
 
     @staticmethod
     def of(plan: PlanFiles, machine: Machine) -> ProgrammedAxes | None:
-        """Return the lines of a plan's program, or None if no row moves the rotary axes so."""
+        """Return the lines of a plan's program; None if no row moves rotary axes linearly."""
         blocks = plan.blocks
         kind = np.asarray(blocks['interpolation'], dtype=np.int64)
         linear = kind != POSES
@@ -96,7 +96,7 @@ class ProgrammedAxes:
 
     @property
     def scale(self) -> FloatArray:
-        """Factors that turn coordinates into lengths at flank height, shape (n,)."""
+        """Factors from coordinates to lengths at flank height, shape (n,)."""
         scale = np.ones(self.start.shape[1])
         scale[3:5] = self.height
         return scale
@@ -108,10 +108,10 @@ class ProgrammedAxes:
         block: IntArray,
         shifts: Sequence[int] = (0, -1, 1),
     ) -> FloatArray:
-        """Measure poses from lines of the rows ``block`` and those beside them, where nearer.
+        """Update ``result`` where lines of the rows ``block`` or their neighbours are nearer.
 
-        Return the largest use (K,) of both tolerances at one place of a line in machine axes, by
-        tip, point at flank height, rotary and extra axes; 0 for rows of another kind [-].
+        Return the largest use (K,) of both tolerances by tip, point at flank height, rotary and
+        extra axes at one place of a line in machine axes; 0 for other kinds of rows [-].
         """
         least, beside = np.full(len(block), np.inf), np.zeros(len(block))
         tip, axis = self.machine.forward(position)
@@ -145,7 +145,7 @@ class ProgrammedAxes:
         return np.asarray(np.linalg.norm(step * self.scale, axis=1) / period)
 
     def gaps(self, position: FloatArray, tip: FloatArray, row: int) -> FloatArray:
-        """Return how far samples are from the end of a known row, X Y Z as its feed counts [m]."""
+        """Return the distance of samples from the end of a known row, in the X Y Z of its feed."""
         here = position[:, :3] if self.in_axes[row] else tip
         return np.asarray(np.linalg.norm(here - (self.start + self.step)[row, :3], axis=1))
 
@@ -159,7 +159,7 @@ class _Search:
     top: FloatArray
 
     def best(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the nearest parts of the rows (m,), the gaps there (m, 4) and their use (m,)."""
+        """Return the nearest place on each row (m,), the gaps (m, 4) and their use (m,) there."""
         program, scale = self.program, self.program.scale
         step = program.step[self.k] * scale
         square = np.maximum((step**2).sum(axis=1), 1e-300)
@@ -182,11 +182,11 @@ class _Search:
         return x, gaps, use
 
     def gaps(self, rows: IntArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compare poses with the parts x of rows, both shape (m,).
+        """Compare poses with the places x in [0, 1] on rows, both shape (m,).
 
-        Return the gaps of extra and rotary axes, of the tip and of the point at flank height,
-        each over its tolerance, shape (m, 4). The use (m,) is the largest of them, over the
-        smaller tolerance of both rows at the nearer vertex.
+        Return the gaps of extra axes, rotary axes, tip and point at flank height, each divided by
+        its tolerance, shape (m, 4). The use (m,) is the largest gap, relative to the smaller
+        tolerance of the two rows at the nearer vertex.
         """
         program, k = self.program, self.k[rows]
         point = program.start[k] + x[:, None] * program.step[k]
@@ -204,7 +204,7 @@ class _Search:
 
 
 def axis_positions(machine: Forward, coordinates: FloatArray) -> FloatArray:
-    """Return X Y Z at which the tip is where it should be, from the forward kinematics alone."""
+    """Return axis positions that bring the tip to given X Y Z, by forward kinematics alone."""
     at = coordinates.copy()
     at[:, :3] = 0.0
     zero = machine.forward(at)[0]

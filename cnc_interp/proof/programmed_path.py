@@ -1,7 +1,7 @@
 """The programmed path of the proof, and the distance of a pose from it.
 
-The point at flank height h moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)``: the tip on a
-line, the tool axis on the great circle in proportion [B2013, Eq. 4].
+The point at flank height h moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)``. The tip moves on a
+line while the tool axis turns proportionally on a great circle [B2013, Eq. 4].
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.own_chain import Forward, forward_of
 from cnc_interp.proof.plan_files import Columns, PlanFiles, Stored, held, spans
 
-WINDOW = 2  #: Rows searched on either side of the row to which a setpoint belongs.
-WIDE_WINDOW = 500  #: The most rows searched where blocks are shorter than the tolerance.
+WINDOW = 2  #: Number of rows searched on either side of the row of a setpoint.
+WIDE_WINDOW = 500  #: Largest number of rows searched if blocks are shorter than the tolerance.
 TURN_PER_START = 0.1  #: Largest turn between two starts of the search for the nearest point [rad].
-TIE = 1e-9  #: A shorter way of the tip is none [m].
+TIE = 1e-9  #: A shorter way of the tip counts as zero [m].
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ProgrammedPath:
     axis: FloatArray
     sideways: FloatArray
     turn: FloatArray  #: (M,): Angle of the turn [rad].
-    #: (M,): Pure rotations by rotary words, and rows without a line of the tip: no great circle.
+    #: (M,): Whether a row has no great circle: a pure rotation by rotary words, or no tip line.
     by_axes: BoolArray
     rotary_from: FloatArray  #: (M, 2): Rotary positions at the start of the row, NaN if not known.
     flank_height: float  #: Height of the second point above the tip [m].
@@ -87,7 +87,7 @@ class ProgrammedPath:
 
     @cached_property
     def way(self) -> FloatArray:
-        """Return the way to the end of each row: of the tip, and of the turn at flank height."""
+        """Length up to the end of each row: of the tip plus of the turn at flank height [m]."""
         lengths = np.linalg.norm(self.chord, axis=1) + self.flank_height * self.turn
         return np.asarray(np.cumsum(lengths))
 
@@ -99,7 +99,7 @@ class ProgrammedPath:
         reach: FloatArray | None = None,
         rows: int = WINDOW,
     ) -> Deviation:
-        """Return the deviation from ``rows`` beside ``block``, and from all in ``reach`` [m]."""
+        """Return the deviation from the rows near ``block``, or within ``reach`` [m]."""
         low = np.maximum(block - rows, 0)
         high = np.minimum(block + rows, len(self.start) - 1)
         if reach is not None:
@@ -123,9 +123,10 @@ class ProgrammedPath:
 
 
 def peaks(points: FloatArray) -> FloatArray:
-    """Bound by how much more than an eighth of its second difference a motion bulges over a chord.
+    """Bound the part of a motion's bulge over a chord that its second difference does not show.
 
-    The acceleration changes between samples by at most half a third difference nearby.
+    The bulge is an eighth of the second difference if the acceleration is constant. It changes
+    between samples by at most half a nearby third difference.
     """
     return np.asarray(np.abs(np.diff(points, 3, axis=-2)) / 16.0)
 
@@ -139,7 +140,7 @@ def distances_to_vertices(
 ) -> tuple[FloatArray, IntArray]:
     """Return the distance of each vertex from a sampled motion, and the sample before that place.
 
-    What the motion bulges over its chord is taken off, because a vertex lies outside its rounding.
+    The bulge of the motion over its chord is subtracted: vertices lie outside their roundings.
     """
     bulge = np.zeros(points.shape)
     bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0
@@ -305,11 +306,11 @@ def _distances_to_vertices(
 
 
 CHORD = 1e-8  #: Largest distance between curve and chord [m].
-PROBES = 65  #: Number of points of a knot interval at which its curvature is measured.
-REACH = 2e-4  #: A pose is searched up to twice its movement plus this along the curve [m].
+PROBES = 65  #: Number of points per knot interval at which curvature is measured.
+REACH = 2e-4  #: A pose is searched along the curve up to twice its movement plus this [m].
 
 
-ROW = 'row'  #: Column of the blocks with chords: the row of the program.
+ROW = 'row'  #: Column of the blocks with chords that holds the program row.
 
 
 def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
@@ -379,7 +380,7 @@ def _renumbered(
 def chords(
     blocks: Columns, first: int, last: int, height: float
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
-    """Replace a native spline, rows ``first`` to ``last``, by n linear rows and poses (n, 6)."""
+    """Replace a native spline, rows [first, last), by n linear rows and poses (n, 6)."""
     line = int(blocks['line'][first])
     interval = np.asarray(blocks['knot_interval'][first:last], dtype=float)
     if len(interval) < 4 or interval[0] or interval[-2:].any():
@@ -418,7 +419,7 @@ def _poses(curve: BSpline, u: FloatArray, height: float) -> FloatArray:
 
 
 def _rows_reached(curve: FloatArray, both: FloatArray, moved: FloatArray, here: int) -> IntArray:
-    """Return the row that each pose on a curve has reached, (k,): no farther than it moved."""
+    """Return the row that each pose on a curve has reached, (k,), given how far it ``moved``."""
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
     found, last = np.empty(len(both), dtype=np.int64), len(curve) - 1
     for i, pose in enumerate(both):

@@ -1,10 +1,10 @@
-"""The proof of ``remaining.npz``: points on lines of the stock, and poses instead of sweeps.
+"""The proof of ``remaining.npz``: points on lines of the stock, tested against poses of the tool.
 
-Points lie just inside and outside the ends of the intervals on a seeded sample of lines, and
-between them. The tool passes them in poses so close to each other that no point comes nearer to it
-than half a step between two. A point inside the mill at a feed has been cut; one that never comes
-near it has not; and what is certainly left then must not be deep in the mill of a rapid, and must
-keep the clearance from shank and holder.
+On a seeded sample of lines, points lie just inside and outside the ends of intervals, and between
+them. The tool is placed in poses so dense that a point can come at most half a step nearer between
+two of them. A point inside the mill during a feed has been cut, and a point that the mill never
+approaches has not. A point that certainly remains must not lie deep inside the mill of a rapid,
+and must keep the clearance from shank and holder.
 """
 
 from math import hypot, sqrt
@@ -20,23 +20,24 @@ from cnc_interp.machine_model.signals import Signals
 from cnc_interp.proof.clearance import Motion, tools_at
 from cnc_interp.proof.clearance_bound import Cells, Links, frames, place
 
-LINES, BETWEEN = 300, 3  #: Lines of the sample, and points on each beside the ends.
-#: What pieces of motion may leave, the step of the poses, and how deep a rapid may enter material,
-#: as shares of the width of a cell [-].
+LINES, BETWEEN = 300, 3  #: Number of sampled lines, and of points on each besides those at ends.
+#: Largest deviation of pieces of motion, step of the poses, and depth to which a rapid may enter
+#: material, as shares of the width of a cell [-].
 LEFT, STEP, ENTERS = 0.25, 0.1, 0.375
-ARC = 0.008  #: What frusta may leave of the corner radius of a mill [-].
-SHIFTS = 0.6180339887498949, 0.7548776662466927  #: Of lines in their cells; see ``removal.npz``.
-#: Lines of a mesh lie so far beside u and v, so that they miss edges along the grid [m].
+#: Largest deviation of frusta from the corner of a mill, as a share of its radius [-].
+ARC = 0.008
+SHIFTS = 0.6180339887498949, 0.7548776662466927  #: Shift of lines in their cells, per row [-].
+#: Offset of the lines of a mesh in u and v, so that none runs along an edge [m].
 ASIDE = np.array([1.3e-9, 0.91e-9])
-SAME = 1e-6  #: Volumes agree when they differ by less, as a share [-].
+SAME = 1e-6  #: Largest relative difference of equal volumes [-].
 FAR = 1e9
-#: Columns of a solid of revolution around the tool: lower height and radius, upper ones, radius of
-#: its lower corner, the distance that it must keep [m], and 1 of a cutter.
+#: Columns of a solid of revolution: lower height and radius, upper height and radius, radius of
+#: its lower corner, and the clearance that it must keep [m]; 1 for a cutter, else 0.
 Z0, R0, Z1, R1, CORNER, ROOM, CUTS = range(7)
 
 
 def prove_stock(motion: Motion, signals: Signals) -> None:
-    """Prove that what is left of the stock is what poses of the tool leave at sampled points."""
+    """Prove that the remaining stock agrees with poses of the tool at sampled points."""
     ledger, placed, cells = motion.ledger, motion.placed, motion.cells
     plan, scene = ledger.plan, motion.placed.scene
     found = plan.summary.get('collision')
@@ -95,7 +96,7 @@ def prove_stock(motion: Motion, signals: Signals) -> None:
 def _points(
     stock: Body, pitch: float, line: IntArray, interval: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return points on sampled lines, (n, 3) [m], and which of them are said to be material."""
+    """Return points on sampled lines, (n, 3) [m], and which of them the plan calls material."""
     low, high = stock.bounds()
     size = np.ceil((high - low)[:2] / pitch).astype(int)
     begin = 0.5 * (low + high)[:2] - 0.5 * size * pitch
@@ -118,7 +119,7 @@ def _points(
 
 
 def _uncut(body: Body, points: FloatArray) -> BoolArray:
-    """Return which points, (n, 3), are inside the uncut stock."""
+    """Return which points, (n, 3), lie inside the uncut stock."""
     if body.triangles is None:
         return np.any([_in_piece(*piece, points) for piece in body.pieces], axis=0)
     found = np.zeros(len(points), dtype=np.bool_)
@@ -165,7 +166,7 @@ def _profiles(placed: Placed, tool: int, stock: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def distance(row: FloatArray, z: float, r: float) -> float:
-    """Return how far a place is at least from a solid of revolution; below 0 inside [m]."""
+    """Return a lower bound of the distance from a solid of revolution; < 0 inside [m]."""
     z0, r0, z1, r1, corner = row[:5]
     slope = (r1 - r0) / (z1 - z0)
     found = max(z0 - z, z - z1, (r - r0 - slope * (z - z0)) / hypot(1.0, slope))
@@ -185,10 +186,10 @@ def stamp(
     sizes: tuple[float, float, float],
     near: FloatArray,
 ) -> None:
-    """Pass cells in poses and bring ``near`` up to date, (3, n).
+    """Place the tool in poses along cells and update ``near``, (3, n).
 
-    Its rows: the least distance of each point from the mill in feeds; by how much what is left
-    came too near to the tool, below 0, and where.
+    Its rows: the least distance of each point from the mill in feeds; the most by which a
+    remaining point came too near to the tool, < 0, and the path length where it did.
     """
     (cells, links, numbers), (step, margin, enters) = moved, sizes
     cut, worst, at = near[0], near[1], near[2]

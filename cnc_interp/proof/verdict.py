@@ -1,4 +1,4 @@
-"""The result of a proof: what it takes as given, largest uses and failures, as text and JSON."""
+"""The result of a proof: its assumptions, largest uses and failures, as text and JSON."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from cnc_interp.proof.plan_files import Columns, PlanFiles
 
 # Differences of the positions that have limits, and the power of the second in their units.
 DIFFERENCES = (('velocity', ''), ('acceleration', '2'), ('jerk', '3'))
-BEFORE_END = 3  #: Samples before its end of which a cut record does not show the jerk.
+BEFORE_END = 3  #: Number of samples before the end of a cut record whose jerk is unknown.
 TORQUE = 'torque'  #: The limit that only some axes have.
 
 
 @dataclass(frozen=True)
 class Finding:
-    #: Name of the quantity, and name of its axis or ''.
+    #: Name of the quantity, and name of its axis if it has one.
     what: str
     axis: str
     #: Value and limit in SI units, and value / limit [-].
@@ -35,7 +35,7 @@ class Finding:
     time: float  #: Time of the sample [s], NaN if ``sample`` is -1.
     line: int  #: Line of the part program.
     exceeded: int  #: Number of places at which the limit is exceeded.
-    linear: bool = True  #: Whether value and limit are lengths, not of a rotary axis.
+    linear: bool = True  #: Whether value and limit are lengths rather than angles.
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class Proof:
     findings: tuple[Finding, ...]  #: Largest use of each limit and tolerance.
     failures: tuple[str, ...]  #: One sentence for each fact that is not proven.
     machine_file: str = ''  #: File of the machine; empty for a bundled one.
-    given: tuple[Given, ...] = ()  #: What is taken as given.
-    program: str = ''  #: What was compared with the text of the program, or ''.
-    beside: str = ''  #: What was executed beside the program, or ''.
-    #: How far a cut record goes, or ''; a failure unless a probe of the program ended it, or a bag
-    #: shows that the operator did.
+    given: tuple[Given, ...] = ()  #: Assumptions that are not proven.
+    program: str = ''  #: Result of the comparison with the program text, or ''.
+    beside: str = ''  #: Motion executed outside the program, or ''.
+    #: Where a cut record ends, or ''. This is a failure, unless a probe of the program ended it or
+    #: a bag shows that the operator did.
     until: str = ''
 
     @property
@@ -144,7 +144,7 @@ class Ledger:
         first: int = 0,
         quiet: bool = False,
     ) -> None:
-        """Record the largest ``value / limit``; above ``allowed`` it is a failure."""
+        """Record the largest ``value / limit``; it is a failure if it exceeds ``allowed``."""
         if not len(value):
             return
         limit = np.broadcast_to(np.asarray(limit, dtype=float), value.shape)
@@ -187,7 +187,7 @@ class Ledger:
         )
         self._judged[name] = finding, share, quiet
 
-    #: Judge a consistency check: the same, but recorded only if it fails.
+    #: As ``judge``, for a consistency check that is recorded only if it fails.
     check = partialmethod(judge, quiet=True)
 
     def fail(self, fault: str) -> None:
@@ -251,18 +251,18 @@ def _figure(value: float) -> str:
     return f'{value:.6g}' if abs(value) >= 1e-8 else '0'
 
 
-#: Figures of a plan that only the planner knows.
+#: Figures of a plan that are not proven, because only the planner knows them.
 UNPROVEN = 'largest errors, tolerances used, time bound, windows, segments, curves'
-DIGITS = 12  #: Digits of a hash that are shown.
+DIGITS = 12  #: Number of hash digits shown.
 
 
 @dataclass(frozen=True)
 class Given:
-    #: Its name, its value in shop units, and where it comes from.
+    #: Name of the assumption, its value in shop units, and its source.
     what: str
     value: str
     source: str
-    sha256: str = ''  #: First digits of the hash of its content, or ''.
+    sha256: str = ''  #: First digits of the hash of the file's content, or ''.
 
     def text(self) -> str:
         end = f' (sha256 {self.sha256})' if self.sha256 else ''

@@ -1,8 +1,8 @@
 """The proof: every emitted setpoint is checked against limits, tolerances, feed and program.
 
-It starts from the plan files alone. The only code shared with the planner reads the machine file,
-computes the forward kinematics, and simulates the drives where the error at the tool is limited.
-At a corner the smaller of both blocks' tolerances counts.
+The proof reads only the plan files. It shares code with the planner in three places: reading the
+machine file, forward kinematics, and simulating the drives if the error at the tool is limited.
+At a corner the smaller tolerance of both blocks counts.
 """
 
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes, measure
 from cnc_interp.proof.programmed_path import ROW, WINDOW, with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 
-SAME_USE = 1e-6  #: Uses of limits agree when they differ by less [-].
-LONGEST_BLOCK = 5e-3  #: Blocks up to this length may become curves, if the plan does not say [m].
+SAME_USE = 1e-6  #: Largest difference of equal uses of limits [-].
+LONGEST_BLOCK = 5e-3  #: Default for the longest block that may become part of a curve [m].
 
 
 def verify_plan(directory: Path, machine: Machine) -> Proof:
@@ -36,7 +36,7 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
 
 
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
-    """Check a plan, without the grid if ``path`` is empty; uses and failures, or InterpError."""
+    """Check a plan and return uses and failures; the grid is left out if ``path`` is empty."""
     if machine.has_rotary and plan.flank_height <= 0.0:
         why = 'so that the tool axis would not be checked'
         raise InterpError(f'flank_height is 0, {why}; plan again')
@@ -179,7 +179,7 @@ def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -
 
 
 def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> PlanFiles:
-    """Demand the order of the program; return the plan with the nearest possible row numbers."""
+    """Check the order of the program; return the plan with the nearest possible row numbers."""
     contour, orientation = program.contour + SLACK, program.orientation + SLACK
     machine, path = program.machine, program.path
     order = order_of(program, (contour, orientation))
@@ -328,7 +328,7 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
 def with_beside(
     proof: Proof, machine: Machine, period: float, stretches: Sequence[FloatArray]
 ) -> Proof:
-    """Add to a proof limits and travel of the motion beside the program: stretches (K, n_axes)."""
+    """Add limits and travel of motion outside the program to a proof; stretches (K, n_axes)."""
     if not stretches:
         return proof
     largest, faults = 0.0, []

@@ -13,11 +13,11 @@ from typing import Any
 from cnc_interp.processes.one_thread import use_one_thread
 from cnc_interp.processes.stop_signals import STOPS
 
-AGAIN = 0.01  #: After such times it is looked whether a lost interrupt can come again [s].
+AGAIN = 0.01  #: Interval at which a lost interrupt is tried again [s].
 
 
 def main() -> int:
-    """Load the commands, which takes a second, and run one; Ctrl-C and SIGTERM end that, too."""
+    """Load the commands, which takes a second, and run one; Ctrl-C and SIGTERM end both."""
     use_one_thread()
     usual = (signal.default_int_handler, signal.SIG_DFL)
     heeded = [number for number in STOPS if signal.getsignal(number) in usual]
@@ -33,20 +33,20 @@ def main() -> int:
 
 
 def run_node() -> int:
-    """Run the node after which the command is named, as `ros2 run` starts it."""
+    """Run the node that has the name of the command, as `ros2 run` does."""
     use_one_thread()
     node = import_module(f'{__package__}.nodes.{Path(sys.argv[0]).stem}')
     return int(node.main() or 0)
 
 
 def leave(_number: int, _frame: FrameType | None) -> None:
-    """End at once: libraries that are being loaded would swallow an exception, or print it."""
+    """End at once; an exception could be swallowed or printed by libraries while they load."""
     os.write(2, b'cnc-interp: interrupted\n')
     os._exit(130)
 
 
 def interrupt_again(lost: Any) -> None:
-    """Python drops what a finaliser raises, also the interrupt that a signal raised in it."""
+    """Raise a lost interrupt again: Python drops exceptions that are raised in a finaliser."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
         threading.Thread(target=_send_later, daemon=True).start()
     else:
@@ -54,7 +54,7 @@ def interrupt_again(lost: Any) -> None:
 
 
 def _send_later() -> None:
-    """Send a signal when the main thread has left ``interrupt_again``, which would drop it."""
+    """Send the signal after the main thread has left ``interrupt_again``, which would drop it."""
     inside = True
     while inside:
         time.sleep(AGAIN)

@@ -1,8 +1,8 @@
-"""Where compiled kernels are kept, and when they are compiled again.
+"""Where compiled kernels are cached, and when they are compiled again.
 
-Machine code holds what a kernel calls, and the constants that it reads. numba by itself compares
-only the file of the kernel. Here a kernel is current while no file changes that its own file
-imports from this package, directly or through others.
+Machine code includes the functions that a kernel calls and the constants that it reads, but numba
+only compares the file of the kernel. Here a kernel is current while its own file, and all files of
+this package that it imports directly or indirectly, are unchanged.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent
-#: Kernels that a wheel brings, the processors that they fit, and what those have (numba's names).
+#: Folder of kernels in a wheel, processors that they fit, and required features (numba's names).
 BROUGHT, PROCESSOR = PACKAGE / 'compiled', 'x86-64-v3'
 FEATURES = {'+avx2', '+bmi', '+bmi2', '+f16c', '+fma', '+lzcnt', '+movbe'}
-FOLDER = 'NUMBA_CACHE_DIR'  #: The variable by which a user chooses another folder.
+FOLDER = 'NUMBA_CACHE_DIR'  #: Variable with which a user chooses another folder.
 IMPORT = re.compile(
     rf'^\s*(?:from|import) {PACKAGE.name}\.([\w.]+)(?: import (\([^)]*\)|[\w, ]+))?', re.M
 )
@@ -26,7 +26,7 @@ IMPORT = re.compile(
 
 @cache
 def sources(file: Path) -> frozenset[Path]:
-    """Return a file and all files of the package that it imports, directly or through others."""
+    """Return a file and all files of the package that it imports, directly or indirectly."""
     found, waiting = set[Path](), [file]
     while waiting:
         source = waiting.pop()
@@ -67,14 +67,14 @@ def folder() -> Path:
 
 
 def brought(place: Path, features: Iterable[str]) -> Path | None:
-    """Return the folder in which a wheel brings what else is kept at a place, if it can run."""
+    """Return the folder in a wheel that replaces a cache folder, if its kernels can run here."""
     if not place.is_relative_to(folder()) or not FEATURES.issubset(features):
         return None
     return BROUGHT / place.relative_to(folder())
 
 
 class KernelLocator:
-    """Says to numba where the code of a kernel is kept, and whether it is current."""
+    """Tells numba where the code of a kernel is cached, and whether it is current."""
 
     def __init__(self, file: Path):
         self._py_file = file  # numba names it in warnings
@@ -95,5 +95,5 @@ class KernelLocator:
         return _stamp(self._py_file)
 
     def get_disambiguator(self) -> str:
-        """Return what tells functions of one name apart; a name stands once in a file here."""
+        """Return a constant, because function names are unique in each file of this package."""
         return PACKAGE.name

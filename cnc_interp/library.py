@@ -1,4 +1,4 @@
-"""Whole programs in memory: what a caller in Python has in the place of commands and files."""
+"""The Python interface: plan and check whole programs in memory, without commands and files."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ from cnc_interp.smoothing.segments import PathSegments
 if TYPE_CHECKING:
     from cnc_interp.collision.path_clearance import Certificates
 
-COLOURS = '#2a6fb0', '#c8553d', '#3f8f5b', '#8b5fb0', '#b8902b', '#5b6b78'  #: Of axes in figures.
-DEGREE = 5  #: q_ss and q_sss are continuous, as a motion within jerk limits needs.
+#: Colours of axes in figures.
+COLOURS = '#2a6fb0', '#c8553d', '#3f8f5b', '#8b5fb0', '#b8902b', '#5b6b78'
+DEGREE = 5  #: Degree at which q_ss and q_sss are continuous, as jerk limits require.
 
 
 def axis_path_from(
@@ -39,7 +40,7 @@ def axis_path_from(
 ) -> AxisPath:
     """Return the smooth path from rest to rest through axis positions, by quintic splines.
 
-    Its error is of the sixth order in the distance of the points; at corners it overshoots.
+    Its error is of sixth order in the distance of the points. At corners it overshoots.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ def axis_path_from(
 
 
 class Kept:
-    """A sink of the chain that keeps everything."""
+    """A sink of the planning chain that keeps everything in memory."""
 
     def __init__(self) -> None:
         self.parts: list[PathSegments] = []
@@ -110,7 +111,7 @@ class Plan:
     planning_time: dict[str, float]  #: Seconds of each stage.
 
     def __repr__(self) -> str:
-        """Say what was planned, and how long it takes."""
+        """Return a summary: what was planned, and how long it takes."""
         count, period = len(self.setpoints), self.settings.interpolation_period / MS
         return (
             f'<Plan of {self.program.source or "blocks"} on {self.machine.name}: '
@@ -133,7 +134,7 @@ class Plan:
         return check(self)
 
     def plot(self) -> Any:
-        """Return a figure of plotly: positions, and the use of the limits, over the time."""
+        """Return a plotly figure of positions and the use of the limits over time."""
         from plotly.subplots import make_subplots
 
         heads = 'position [mm, deg]', 'velocity, share of its limit', 'jerk, share of its limit'
@@ -199,7 +200,7 @@ def plan(
 
 
 def plan_program(program: Program, machine: Machine, settings: Settings | None = None) -> Plan:
-    """Plan a whole program to setpoints in memory; ``cnc-interp plan`` has no bound of length.
+    """Plan a whole program to setpoints in memory; ``cnc-interp plan`` has no limit on length.
 
     Parameters
     ----------

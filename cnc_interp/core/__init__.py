@@ -1,7 +1,7 @@
-"""What all rooms use: types of arrays, products of vectors, units and errors.
+"""Array types, products of vectors, units and errors, which all rooms use.
 
-Units are those of the shop floor in SI: ``0.02 * MM`` is a length in metres. All values in the
-code are SI.
+Shop-floor units are defined by their SI values: ``0.02 * MM`` is a length in metres. All values in
+the code are SI.
 """
 
 from enum import Enum, IntEnum
@@ -32,7 +32,7 @@ REV_PER_MIN = REV / MINUTE
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return scalar products; the order of the sum is fixed, and so are the bits."""
+    """Return scalar products; the order of summation is fixed, so results are reproducible."""
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
@@ -60,16 +60,16 @@ class InterpError(Exception):
 
 
 class DependsOn(Enum):
-    """What a refusal of a line depends on; after a refused line that may be wrong."""
+    """What a refusal of a line depends on. After an earlier refused line, that may be wrong."""
 
-    LINE = 1  #: Its own words only.
-    PLACE = 2  #: Where the lines before have led.
-    STATE = 3  #: What they have set.
-    LEFT_OVER = 4  #: The same; but the rest of the line was executed.
+    LINE = 1  #: Only the words of the line itself.
+    PLACE = 2  #: The position that earlier lines have reached.
+    STATE = 3  #: The modal state that earlier lines have set.
+    LEFT_OVER = 4  #: As STATE, but the rest of the line was executed.
 
 
 class ProgramError(InterpError):
-    """A part program cannot be read; ``line_number`` counts from 1, 0 is the whole file."""
+    """A part program cannot be read; ``line_number`` counts from 1, and 0 means the whole file."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class ProgramError(InterpError):
 
 
 class RefusedLinesError(ProgramError):
-    """A part program cannot be read for several reasons; the attributes are of the first."""
+    """A part program cannot be read for several reasons; the attributes describe the first."""
 
     def __init__(self, errors: list[ProgramError], text: str):
         first = errors[0]
@@ -115,7 +115,7 @@ class SettingsError(InterpError):
 
 
 class BlockError(InterpError):
-    """A block is refused before anything moves; a caller that knows the file sets ``source``."""
+    """A block is refused before anything moves; callers that know the file set ``source``."""
 
     def __init__(
         self, message: str, line_number: int = 0, axis: str = '', value: float = float('nan')
@@ -136,7 +136,7 @@ class TravelError(BlockError):
 
 
 class SingularityError(BlockError):
-    """The path passes a pose at which a rotary axis is undefined."""
+    """The path passes through a pose where a rotary axis is undefined."""
 
 
 class PlanningError(BlockError):
@@ -144,7 +144,7 @@ class PlanningError(BlockError):
 
 
 class Refusal(IntEnum):
-    """Reason why a message or the rest of a run is refused; constants of ``StreamStatus``."""
+    """Why a message or the rest of a run is refused; values as in ``StreamStatus``."""
 
     NONE = 0
     # The whole run is refused:

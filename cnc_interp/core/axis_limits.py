@@ -1,8 +1,9 @@
-"""The limits of the axes: one object for each axis, from the machine file to every room.
+"""The limits of the axes: one object per axis, made from the machine file and used in every room.
 
-Rooms ask ``Limits`` for a quantity by its name. Kernels get ``Limits.table``, which is packed here
-alone; ``limit_table.py`` describes and reads it. A limit of another kind, such as one that
-depends on another axis, is a field of ``AxisLimits``, rows of the table, and ``limit_at``.
+Rooms read a quantity from ``Limits`` by its name. Kernels get ``Limits.table``, which is packed
+only here; ``limits_by_position.py`` describes and reads it. A new kind of limit, such as one that
+depends on another axis, needs a field of ``AxisLimits``, rows of the table, and a change of
+``limit_at``.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from cnc_interp.core.limit_table import DRIVE, FAR, PLACE, limits_along
 
 @dataclass(frozen=True)
 class DriveLoad:
-    """Largest torque of a drive, and what needs it: |J q_ddot + B q_dot + C sign(q_dot)| <= T."""
+    """Largest torque T of a drive and its load: |J q_ddot + B q_dot + C sign(q_dot)| <= T."""
 
     inertia: float  #: Mass or moment of inertia J [kg or kg m2].
     torque: float  #: Largest force or torque T [N or Nm].
@@ -30,7 +31,7 @@ class DriveLoad:
 
     @property
     def row(self) -> FloatArray:
-        """T/J, C/J and B/J, as the table has them [m or rad per s2, the same, 1/s]."""
+        """T/J, C/J and B/J, the entries of the table [m or rad per s2, the same, 1/s]."""
         return np.array([self.torque, self.coulomb, self.viscous]) / self.inertia
 
     def least_acceleration(self, velocity: float) -> float:
@@ -38,7 +39,7 @@ class DriveLoad:
 
 
 class LimitsByPlace(NamedTuple):
-    """Limits at positions of the axis, linear between two of them and constant beyond, (k,)."""
+    """Limits at k positions of the axis, linear in between and constant beyond the ends."""
 
     max_velocity: FloatArray
     max_acceleration: FloatArray
@@ -48,16 +49,16 @@ class LimitsByPlace(NamedTuple):
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """What one axis can do."""
+    """The limits of one axis."""
 
-    #: Largest limits of all places [m/s or rad/s, per s, per s2].
+    #: Limits; the largest of all positions if they depend on it [m/s or rad/s, per s, per s2].
     max_velocity: float
     max_acceleration: float
     max_jerk: float
     #: Lowest and highest position, infinite for an endless axis [m or rad].
     travel: tuple[float, float] = (-inf, inf)
     by_place: LimitsByPlace | None = None  #: Limits that depend on the position of the axis.
-    load: DriveLoad | None = None  #: Largest torque of its drive, if that limits it.
+    load: DriveLoad | None = None  #: Torque limit and load of its drive, if it has one.
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +74,9 @@ class Limits:
         return Limits(tuple(AxisLimits(*row) for row in rows))
 
     def having(self, **columns: Sequence[Any] | FloatArray | Mapping[int, Any]) -> Limits:
-        """Return limits with other values of some fields of ``AxisLimits``.
+        """Return limits in which some fields of ``AxisLimits`` have other values.
 
-        Each column has a value for every axis, or maps some axes to theirs; the others get None.
+        A column holds a value for every axis, or maps axis numbers to values; other axes get None.
         """
         each = range(len(self.axes))
         whole = [
@@ -88,7 +89,7 @@ class Limits:
 
     @cached_property
     def max_velocity(self) -> FloatArray:
-        """(n_axes,), the largest where they depend on the position, as the next two."""
+        """(n_axes,): Velocity limits; the largest ones if they depend on the position."""
         return read_only(np.array([axis.max_velocity for axis in self.axes]))
 
     @cached_property
@@ -111,17 +112,17 @@ class Limits:
 
     @cached_property
     def loads(self) -> dict[int, DriveLoad]:
-        """Of the axes whose drives have a largest torque, by the number of the axis."""
+        """Loads of the axes whose drives have a torque limit, by axis number."""
         return {k: axis.load for k, axis in enumerate(self.axes) if axis.load is not None}
 
     @property
     def placed(self) -> Iterator[tuple[int, LimitsByPlace]]:
-        """Yield the axes whose limits depend on their position, by the number of the axis."""
+        """Yield number and limits of the axes whose limits depend on their position."""
         return ((k, axis.by_place) for k, axis in enumerate(self.axes) if axis.by_place)
 
     @cached_property
     def table(self) -> FloatArray:
-        """All limits as kernels read them, (7, n_axes, m); see ``limit_table.py``."""
+        """All limits in the form for kernels, (7, n_axes, m); see ``limits_by_position.py``."""
         m = max((len(of.position) for _, of in self.placed), default=1)
         table = np.zeros((7, len(self.axes), m))
         table[:PLACE], table[PLACE], table[DRIVE] = self.by_order[..., None], inf, inf

@@ -1,7 +1,7 @@
-"""Bezier pieces with proven bounds, and B-splines: of native programs, compressor and corners.
+"""Bezier pieces with proven bounds, and the B-splines of programs, the compressor and corners.
 
-A Bezier curve lies in the hull of its points, and each derivative in the hull of their
-differences, so the bounds miss no place. Compiled functions return jets (``jet.py``) of one piece.
+A Bezier curve lies in the convex hull of its points, and each derivative in the hull of their
+differences, so the bounds hold everywhere. Compiled functions return jets (``jet.py``) of a piece.
 
 The corner spline is a cubic B-spline with knots (0 0 0 0 .5 1 1 1 1) [B2013, section 2.2].
 """
@@ -106,7 +106,7 @@ def quintic_jet(points: FloatArray, i: int, u: float) -> Jet:
 
 @njit(cache=True, nogil=True)
 def quintic_part(points: FloatArray, a: float, b: float, out: FloatArray) -> None:
-    """Write the Bezier points of a quintic (6, d) between two parameters, as blossoms."""
+    """Write the Bezier points of the part of a quintic (6, d) between two parameters."""
     columns = points.shape[1]
     work = np.empty(6)
     for c in range(columns):
@@ -122,7 +122,7 @@ def quintic_part(points: FloatArray, a: float, b: float, out: FloatArray) -> Non
 
 @njit(cache=True, nogil=True)
 def quintic_end_jet(points: FloatArray, length: float) -> FloatArray:
-    """Return value and four derivatives, over factorials, at the end of a quintic piece."""
+    """Return value and four Taylor coefficients at the end of a quintic piece."""
     columns = points.shape[1]
     jet = np.zeros((5, columns))
     choose = (1.0, 5.0, 10.0, 10.0, 5.0)
@@ -157,7 +157,7 @@ def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
 
 
 def least_length(points: FloatArray) -> FloatArray:
-    """Return a lower bound of the distance from zero, (..., k, 3) to (...), by a direction."""
+    """Return a lower bound of the distance from zero, (..., k, 3) to (...), by one direction."""
     mean = points[..., 0, :]
     for k in range(1, points.shape[-2]):
         mean = mean + points[..., k, :]
@@ -265,7 +265,7 @@ def quintic_end_coefficients(
 ) -> FloatArray:
     """Return the first or last ``known`` control points of a clamped quintic B-spline.
 
-    ``jet`` (known, d): value and derivatives there, each over the factorial of its order.
+    ``jet`` (known, d): Taylor coefficients at that end.
     """
     choose = (1.0, 5.0, 10.0, 10.0, 5.0, 1.0)
     found = np.zeros((known, jet.shape[1]))
@@ -307,7 +307,7 @@ def _corner_basis(x: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def sum_of(terms: Iterable[FloatArray]) -> FloatArray:
-    """Add arrays in the given order, so that the result is the same bit for bit."""
+    """Add arrays in the given order, so that the result is reproducible bit by bit."""
     first, *rest = terms
     for term in rest:
         first = first + term

@@ -1,4 +1,4 @@
-"""The time in which kernels are compiled: it is told, and it is no time of the work at hand."""
+"""The time spent compiling kernels: it is reported, and does not count as working time."""
 
 import mmap
 import multiprocessing
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-#: Compiling that takes longer is told [s].
+#: Compiling is reported if it takes longer [s].
 PATIENCE = 1.0
 COMPILING = 'compiling numeric kernels, once; it takes seconds to minutes'
 
@@ -31,7 +31,7 @@ def _short_refusal() -> Any:
 
 
 class CompileTime:
-    """Adds up the time in which this process, or one forked from it, compiles."""
+    """Adds up the time that this process, or one forked from it, spends compiling."""
 
     def __init__(self) -> None:
         self._depth = 0
@@ -70,10 +70,10 @@ COMPILE_TIME = CompileTime()
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Compile a kernel of ours; numba's own lock, which the caller holds, keeps others out.
+    """Measure the time of compiling a kernel; the caller holds numba's own lock.
 
-    Where an array is assigned to a part of another one, numba compiles an error message with both
-    shapes, which takes much of the time of set-up: meanwhile it is shorter.
+    For each assignment of an array to a slice, numba compiles an error message with both shapes.
+    That takes much of the compile time, so a shorter message replaces it meanwhile.
     """
     from numba.np import arrayobj
 

@@ -1,6 +1,6 @@
-"""Compiled kernels of this package: numba's dispatchers, with files and locks of our own.
+"""Compiled kernels of this package: numba's dispatchers with our own cache files and locks.
 
-Nothing of numba itself changes, so kernels of other packages are compiled and kept as ever.
+Numba itself is not changed, so kernels of other packages are compiled and cached as usual.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cnc_interp.core.compile_time import compiling
 
 
 class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Machine code of a kernel from its file; its bitcode is read when another one wants it."""
+    """Machine code of a kernel, loaded from its file; bitcode is parsed only for linking."""
 
     _shared_module: Any
 
@@ -49,7 +49,7 @@ class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Target:
-    """The processor, for which kernels are made from their files as ``_Library``."""
+    """Numba's target context, except that kernels from files become a ``_Library``."""
 
     def __init__(self, target: Any):
         self._target = target
@@ -69,7 +69,7 @@ class _Target:
 
 
 def _constants(module: str, values: list[Any], name: str) -> Any:
-    """Make the constants of a function without numba's modules, which only a compiler needs."""
+    """Rebuild the constants of a function without importing numba modules for the compiler."""
     found = environment.lookup_environment(name)
     if found is not None or not module.startswith('numba.'):
         return found or environment._rebuild_env(module, values, name)
@@ -85,7 +85,7 @@ class _Reader(pickle.Unpickler):
 
 
 class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """Files of a kernel; a lock lets no two processes give different forms the same number."""
+    """Files of a kernel; a lock keeps two processes from using one number for different forms."""
 
     @contextmanager
     def _locked(self, how: int) -> Iterator[None]:
@@ -119,7 +119,7 @@ class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _Form(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    """How a kernel is kept: under its name in the folder that ``kernel_cache`` gives its file."""
+    """Storage of a kernel: its name, in the folder that ``kernel_cache`` assigns to its file."""
 
     def __init__(self, function: Callable[..., Any]):
         code = function.__code__
@@ -133,10 +133,10 @@ class _Form(caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Cache(caching.Cache):  # type: ignore[misc]
-    """The files of a kernel, or those that a wheel brings.
+    """The files of a kernel, or those included in a wheel.
 
-    A kernel is loaded without what only compiling needs, which takes half a second: numba's
-    registries, which a compiler loads itself, and the bitcode.
+    Loading a kernel skips numba's registries and the bitcode, which only compiling needs. That
+    saves half a second.
     """
 
     _impl_class = _Form
@@ -162,7 +162,7 @@ class _Cache(caching.Cache):  # type: ignore[misc]
 
 
 class _Later:
-    """The files of a kernel, sought when it is called; its sources count as imported."""
+    """The files of a kernel, looked up at its first call; its sources are recorded at import."""
 
     def __init__(self, function: Callable[..., Any]):
         self._function = function
@@ -201,7 +201,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         self._cache = _Later(self.py_func)
 
     def _compilation_chain_init_hook(self) -> None:
-        """Leave out extensions of numba, for which metadata of all packages would be read."""
+        """Skip numba's extensions; finding them would read the metadata of all packages."""
 
 
 class _Callback(ccallback.CFunc):
@@ -214,7 +214,7 @@ class _Callback(ccallback.CFunc):
 
 
 def njit(*, cache: bool = False, pipeline_class: Any = Compiler, **options: Any) -> Any:
-    """Return a decorator as ``numba.njit``, for functions of this package."""
+    """Return a decorator like ``numba.njit``, for functions of this package."""
 
     def compiled(function: Callable[..., Any]) -> Any:
         if config.DISABLE_JIT:
@@ -229,7 +229,7 @@ def njit(*, cache: bool = False, pipeline_class: Any = Compiler, **options: Any)
 
 
 def cfunc(signature: Any, cache: bool = False) -> Any:
-    """Return a decorator as ``numba.cfunc``, for functions of this package."""
+    """Return a decorator like ``numba.cfunc``, for functions of this package."""
 
     def compiled(function: Callable[..., Any]) -> Any:
         callback = _Callback(function, sigutils.normalize_signature(signature), {}, {})

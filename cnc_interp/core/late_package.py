@@ -1,4 +1,4 @@
-"""A package whose ``__init__`` runs when somebody first asks for what it holds."""
+"""A package whose ``__init__`` runs only when one of its attributes is first used."""
 
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -6,7 +6,7 @@ from typing import Any
 
 
 class LatePackage(ModuleType):
-    """Its modules can be imported before; whoever imports the package itself gets all of it."""
+    """A package whose modules can be imported without running its ``__init__``."""
 
     def __init__(self, spec: ModuleSpec):
         super().__init__(spec.name)

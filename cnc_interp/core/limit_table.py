@@ -1,13 +1,13 @@
-"""The table in which kernels read the limits of the axes; ``Limits.table`` makes it.
+"""The table from which kernels read the limits of the axes; ``Limits.table`` makes it.
 
 Each limit of an axis is piecewise linear between a few positions, and constant beyond the first
 and the last. An axis with constant limits has one position. The table has the shape
 (7, n_axes, m): rows ``VELOCITY``, ``ACCELERATION``, ``JERK`` hold the limits at the m positions
-of row ``PLACE`` [m or rad, per s, s2, s3]. Axes with fewer positions are filled up by infinite
+of row ``PLACE`` [m or rad, per s, s2, s3]. Axes with fewer positions are padded with infinite
 ones. With m = 1 all limits are constants.
 
-The drive of an axis may have a largest torque (or force) T beside them, of which inertia J,
-viscous friction B and Coulomb friction C take their parts:
+The drive of an axis may also have a largest torque (or force) T, which inertia J, viscous friction
+B and Coulomb friction C must not exceed together:
 
     |J q_ddot + B q_dot + C sign(q_dot)| <= T
 
@@ -33,7 +33,7 @@ def has_loads(table: FloatArray) -> bool:
 def acceleration_room(
     table: FloatArray, axis: int, q: float, velocity: float
 ) -> tuple[float, float]:
-    """Return the largest acceleration of an axis along its motion and against it."""
+    """Return the largest acceleration of an axis in the direction of its velocity, and against."""
     most = limit_at(table, ACCELERATION, axis, q)
     drive = table[DRIVE, axis, 0]
     if drive == np.inf:

@@ -1,4 +1,4 @@
-"""Compiled code and its machine: distinct arrays, addresses, memory order, the clock."""
+"""Low-level parts of compiled code: distinct arrays, addresses, memory order, the clock."""
 
 from typing import Any
 
@@ -48,7 +48,7 @@ def call_c(_context: Any, _function: Any, _first: Any, _second: Any, _third: Any
 
 @intrinsic
 def fence(_context: Any) -> Any:
-    """Order memory: what was written before is visible before what follows."""
+    """Make all earlier writes visible before any later write (a memory fence)."""
 
     def generate(context: Any, builder: Any, _signature: Any, _given: Any) -> Any:
         builder.fence('seq_cst')
@@ -74,7 +74,7 @@ def call_drives(
 
 @njit(cache=True, nogil=True)
 def publish(words: IntArray, index: int, value: int) -> None:
-    """Write a word after everything that was written before it."""
+    """Write a word so that all earlier writes are visible before it."""
     fence()
     words[index] = value
     fence()
@@ -96,7 +96,7 @@ def sleep_until(due: int, time: IntArray) -> None:
 
 
 class DistinctArrays(CompilerBase):  # type: ignore[misc]
-    """Compiler for kernels whose arrays never overlap, so that loops take several elements."""
+    """Compiler for kernels whose arrays never overlap; its loops can then be vectorised (SIMD)."""
 
     def define_pipelines(self):  # type: ignore[no-untyped-def]
         self.state.flags.noalias = True

@@ -1,4 +1,4 @@
-"""Progress of long work: one line that is redrawn on a terminal, plain lines in a log."""
+"""Progress of long work: a line that is redrawn on a terminal, or plain lines in a log."""
 
 import math
 import os
@@ -14,7 +14,7 @@ BEFORE_THE_END = 0.99  #: Largest part that is shown while time is left [-].
 
 
 class TimeLeft:
-    """Estimates the remaining time of work from its speed in the later half of the time."""
+    """Estimates the remaining time of work from its speed in the second half of the past time."""
 
     def __init__(self, begun: float = math.nan) -> None:
         self._first = begun  # when the work began, or its first part was done [s]
@@ -22,7 +22,7 @@ class TimeLeft:
         self._later = deque[tuple[float, float]](known)  # time and share in the later half
 
     def after(self, now: float, share: float) -> float:
-        """Return the remaining time [s] at a time and a share of the work; NaN if unknown."""
+        """Return the remaining time [s], given the time and the finished share; NaN if unknown."""
         if share <= 0.0:
             return math.nan
         later = self._later
@@ -37,7 +37,7 @@ class TimeLeft:
 
 
 class ProgressBar:
-    """Shows which part of the work is done, while it is entered; without a stream nothing."""
+    """Context in which the finished part of the work is shown; silent without a stream."""
 
     def __init__(self, stream: TextIO | None):
         self._stream = stream

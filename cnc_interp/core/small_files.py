@@ -1,4 +1,4 @@
-"""Files of a user: which may be opened, how they are read within bounds, and written whole."""
+"""User files: check which may be opened, read them within limits, and write them atomically."""
 
 import json
 import os
@@ -17,10 +17,10 @@ from cnc_interp.core import InterpError
 
 
 def require_inside(path: Path, folders: Sequence[str]) -> Path:
-    """Return the real path of one of some files, or of what is in a folder; else InterpError.
+    """Return the real path of a file that is allowed or in an allowed folder; else InterpError.
 
-    A path counts as what it is after all links. Outside the folders the answer is the same whether
-    or not there is such a file, and nothing of it is read.
+    Links are resolved first. Outside the folders the error does not reveal whether the file
+    exists, and nothing of it is read.
     """
     real = Path(os.path.realpath(path))
     if not any(real.is_relative_to(os.path.realpath(folder)) for folder in folders if folder):
@@ -32,9 +32,9 @@ def require_inside(path: Path, folders: Sequence[str]) -> Path:
 
 
 def require_allowed(path: Path, folders: Sequence[str]) -> Path:
-    """Return the real path of a regular file; raises as ``require_inside``, and for others.
+    """Return the real path of an allowed regular file; raises as ``require_inside`` does.
 
-    Devices and pipes are never opened: opening one may wait for ever, or do something.
+    Devices and pipes are refused, because opening one may block forever or have side effects.
     """
     real = require_inside(path, folders)
     try:
@@ -47,9 +47,10 @@ def require_allowed(path: Path, folders: Sequence[str]) -> Path:
 
 
 def open_named(path: Path, folders: Sequence[str] | None) -> BinaryIO:
-    """Open a file for reading; raises OSError, and InterpError as ``require_allowed``.
+    """Open a file for reading; raises OSError, and InterpError as ``require_allowed`` does.
 
-    With None the user of this process names it: all that he may read is allowed, pipes included.
+    None means that the user of this process named the file: anything readable is allowed then,
+    pipes included.
     """
     if folders is None:
         return path.open('rb')
@@ -78,7 +79,7 @@ class UnreadableError(ValueError):
 
 
 def small_text(path: Path, longest: int) -> str:
-    """Return the text of a small file, no more; raises OSError or UnreadableError."""
+    """Return the text of a file below the size limit; raises OSError or UnreadableError."""
     path.stat()
     if not path.is_file():
         raise UnreadableError('it is not a file')
@@ -93,7 +94,7 @@ def small_text(path: Path, longest: int) -> str:
 
 
 def _checked(content: Any) -> Any:
-    """Return the content of a file unless it has a number that no float can hold."""
+    """Return the content of a file; refuse numbers that no float can hold."""
     waiting = [content]
     while waiting:
         value = waiting.pop()
@@ -128,7 +129,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value of such a file is a finite number; true and false are none."""
+    """Return whether a value of such a file is a finite number; booleans are not numbers."""
     return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
@@ -144,7 +145,7 @@ def read_json(path: Path) -> Any:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Replace a small file so that it is whole at every moment; OSError leaves the old one."""
+    """Replace a small file atomically; if OSError is raised, the old file remains."""
     path = path.resolve()  # a link stays one
     beside = path.with_name(f'.{path.name}.new')
     with beside.open('w', encoding='utf-8') as file:
@@ -161,13 +162,13 @@ def write_whole(path: Path, text: str) -> None:
         os.close(folder)
 
 
-#: What a reader may take beside so many times the length of its file [bytes].
+#: Memory allowed to a reader: ROOM [bytes] plus TIMES the length of its files.
 ROOM, TIMES = 1 << 30, 30
 _KINDS = (resource.RLIMIT_DATA, resource.RLIMIT_FSIZE)
 
 
 class BoundedMemory:
-    """Limits memory and written files of this process until ``lift``; ``room`` beyond [bytes]."""
+    """Limits memory and written files of this process until ``lift``; ``room``: extra [bytes]."""
 
     def __init__(self, *files: Path, room: int = ROOM):
         room += TIMES * sum(file.stat().st_size for file in files)
@@ -184,7 +185,7 @@ class BoundedMemory:
 
 
 def share_directory(package: str) -> Path:
-    """Return the data folder of a package, beside Python too; raises LookupError without it."""
+    """Return the data folder of a package, installed by pip or ROS; LookupError if missing."""
     beside_python = Path(sys.prefix, 'share', package)  # installed by pip, also without ROS
     if 'AMENT_PREFIX_PATH' not in os.environ and beside_python.is_dir():
         return beside_python

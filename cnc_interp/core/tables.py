@@ -1,8 +1,8 @@
 """Tables: columns with one row per element, each declared once at its field.
 
-A field says all that is known of a column. ``column`` gives the shape of a row and the default,
-the annotation gives the dtype, the comment gives the meaning and the unit. Slices, joins, checks
-of shapes, files and messages come from these declarations.
+A field declares everything about a column: ``column`` gives the shape of a row and the default,
+the annotation gives the dtype, and the comment gives the meaning and the unit. Slices, joins,
+shape checks, files and messages are derived from these declarations.
 """
 
 from collections.abc import Iterable, Mapping
@@ -22,18 +22,18 @@ KINDS = {'FloatArray': np.float64, 'IntArray': np.int64, 'BoolArray': np.bool_}
 class Column:
     """The declaration of one column."""
 
-    tail: tuple[int | str, ...] = ()  #: Shape of a row; a name stands for any number, 0 at least.
+    tail: tuple[int | str, ...] = ()  #: Shape of a row; a name means any size.
     kind: type[Any] = np.float64  #: Dtype.
-    default: Any = None  #: Value of all rows if the column is left out; None: it is needed.
-    in_plans: bool = True  #: Whether the files of a plan have it.
+    default: Any = None  #: Value of all rows if the column is left out; None: required.
+    in_plans: bool = True  #: Whether plan files contain it.
 
     def filled(self, rows: int) -> NDArray[Any]:
-        """Return the column with its default in all rows; where any number fits, with none."""
+        """Return the column filled with its default; dimensions of any size get size 0."""
         tail = (0 if isinstance(count, str) else count for count in self.tail)
         return np.full((rows, *tail), self.default or 0, self.kind)
 
     def fits(self, shape: tuple[int, ...], rows: int) -> bool:
-        """Return whether an array of this shape is such a column with so many rows."""
+        """Return whether ``shape`` is that of this column with ``rows`` rows."""
         if len(shape) != 1 + len(self.tail) or shape[0] != rows:
             return False
         return shape[1:] == self.tail or all(
@@ -46,7 +46,7 @@ class Column:
 
 
 def column(*tail: int | str, default: Any = None, in_plans: bool = True) -> Any:
-    """Declare a column at its field: the shape of a row, with a name for any number."""
+    """Declare a column at its field; ``tail``: shape of a row, with a name for any size."""
     optional: dict[str, Any] = {} if default is None else {'default': None}
     return field(**optional, metadata={'tail': tail, 'default': default, 'in_plans': in_plans})
 
@@ -87,7 +87,7 @@ class Table:
 
     @classmethod
     def _of(cls, columns: Mapping[str, Any]) -> Self:
-        """Return a table of columns whose shapes are known to be right."""
+        """Return a table of columns without checking their shapes."""
         made = object.__new__(cls)
         made.__dict__.update(columns)
         for name in cls.declared:
@@ -99,7 +99,7 @@ class Table:
 
     @classmethod
     def of_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Self:
-        """Return a table of columns by name, such as an archive; KeyError if one is missing."""
+        """Return a table from columns by name, as in an archive; KeyError if one is missing."""
         return cls(
             **{
                 name: columns[name]

@@ -1,1 +1,1 @@
-"""PathSegment -> AxisPath: tool tip and tool axis <-> machine axes, with exact derivatives."""
+"""From tool path (PathSegments) to machine axes (AxisPath), with exact derivatives."""

@@ -1,4 +1,4 @@
-"""The path in machine axes q(s): in a cell a septic by value, q_s, q_ss and q_sss of both ends."""
+"""The path in machine axes q(s): in each cell the septic with q, q_s, q_ss, q_sss of both ends."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
-UNSEEN = 1e-12  #: A step of an axis [m, rad]; its third difference: see ``limits_at``.
+UNSEEN = 1e-12  #: Steps of an axis below this are rounding noise [m, rad].
 
 
 class PathCells(NamedTuple):
-    """What kernels need of a path: s (N,), both ends of the cells, and their feed (N - 1,)."""
+    """The parts of a path that kernels need: s (N,), both ends of cells, and feeds (N - 1,)."""
 
     s: FloatArray
     left: FloatArray
@@ -37,10 +37,10 @@ class AxisPath:
     #: (N, 3): Tool tip [m] and unit tool axis [-] in W.
     tip: FloatArray
     axis: FloatArray
-    #: (N - 1,): Programmed feedrate in ds/dt [m/s], infinite for rapids and where only axes limit.
+    #: (N - 1,): Programmed feedrate as ds/dt [m/s]; infinite if only the axes limit the speed.
     cell_feed: FloatArray
     cell_block: IntArray  #: (N - 1,): Row of the block being executed.
-    stop: BoolArray  #: (N,): Where the motion must rest, first and last point included.
+    stop: BoolArray  #: (N,): Whether the motion must rest there, as at both ends.
 
     def __post_init__(self) -> None:
         for column in vars(self).values():
@@ -73,7 +73,7 @@ class AxisPath:
 
 
 OF_POINTS = 's', 'tip', 'axis', 'stop'  #: Columns with a row for each grid point.
-BY_ENDS = 'cell_left', 'cell_right'  #: Those with a cell along the second axis.
+BY_ENDS = 'cell_left', 'cell_right'  #: Columns with cells along the second axis.
 OF_CELLS = *BY_ENDS, 'cell_feed', 'cell_block'
 
 
@@ -81,10 +81,11 @@ OF_CELLS = *BY_ENDS, 'cell_feed', 'cell_block'
 def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: FloatArray) -> None:
     """Write the eight coefficients in u = (s - s_left)/h of one axis on one cell.
 
-    The first four are the Taylor cubic of the left end; the others close its misfits d0..d3 (of
-    value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. A misfit off the smoothest course by less
-    than the rounding of q and s is taken from that course: on short cells it would be blown up by
-    210/h^3. Where axes move far while s hardly does, misfits above ``UNSEEN`` are true ones.
+    The first four are the Taylor cubic of the left end. The others cancel its misfits d0..d3 (of
+    value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. A misfit that differs from the smoothest
+    course by less than the rounding of q and s is replaced by the value on that course, because
+    short cells amplify it by 210/h^3. If axes move far while s hardly changes, misfits above
+    ``UNSEEN`` are genuine.
     """
     h2, h3 = h * h, h * h * h
     q0, q1, q2, q3 = left[0], left[1] * h, left[2] * h2 / 2, left[3] * h3 / 6
@@ -127,7 +128,7 @@ def evaluate_cells(
     along: FloatArray,
     cell: IntArray,
 ) -> FloatArray:
-    """Evaluate q and its derivatives in cells, ``along`` from their starts, (4, M, n_axes)."""
+    """Evaluate q and three derivatives in cells, (4, M, n_axes), ``along`` from their starts."""
     n_axes = cell_left.shape[2]
     out = np.empty((4, len(along), n_axes))
     coefficients = np.empty((n_axes, 8))
@@ -154,9 +155,9 @@ def evaluate_cells(
 def evaluate(
     path: AxisPath, s: FloatArray, cell: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return q(s) and three derivatives by s at places [m], (M, n_axes) each; held outside.
+    """Return q(s) and three derivatives by s, (M, n_axes) each; q is constant beyond the ends.
 
-    ``cell`` (M,): cells of the places, where a place is an end of two.
+    ``cell`` (M,): the cells of the places, because a grid point belongs to two cells.
     """
     s = np.asarray(s, dtype=np.float64)
     if cell is None:
@@ -177,7 +178,7 @@ def _between(
     way: FloatArray,
     left: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return right ends of cells, tips and axes; points lie ``way`` after old ones ``at``."""
+    """Return right ends of cells, tips and tool axes at points ``way`` after old points ``at``."""
     right, tips, axes = np.empty_like(left), np.empty((len(at), 3)), np.empty((len(at), 3))
     for i, p in enumerate(at):
         if i > 0:
@@ -192,7 +193,10 @@ def _between(
 
 
 def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
-    """Make path positions [m] grid points without changing q(s); tips and tool axes by chords."""
+    """Insert grid points at path positions [m] without changing q(s).
+
+    Tip and tool axis of the new points lie on chords.
+    """
     inside = (s_new > path.s[0]) & (s_new < path.s[-1])
     s = np.unique(np.concatenate([path.s, s_new[inside]]))
     if len(s) == len(path.s):

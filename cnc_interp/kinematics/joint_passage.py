@@ -1,8 +1,8 @@
-"""Passages of the singular poses of an arm: a joint leads instead of the spin (arms.md).
+"""Passages of the singular poses of an arm: a joint is prescribed instead of the spin (arms.md).
 
-On a stretch around the pose, a joint is the septic of the path length that takes its value and
-three derivatives of both ends; the pose stays exact, and the spin follows. Stretches of several
-lengths, to the nearest solutions after the pose, are compared by their time.
+On a stretch around the singular pose, one joint is a septic in path length that matches its value
+and three derivatives at both ends. The tool pose stays exact, and the spin follows. Stretches of
+several lengths, to the nearest solutions after the pose, are compared by their time.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from cnc_interp.machine_model.chain_kernels import REACH
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.smoothing.segments import PathSegments
 
-NEAR = 0.05  #: Smallest pivot of the rates below which a stretch is tried [-].
-FAR = 0.12  #: Longest way before and after that, over the reach of the arm [-].
-WAYS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.0)  #: Shares of it that are tried.
-STEP, MOST_STEPS = 2.0 * MM, 128  #: Steps of a walk [m]; most of them on half a segment.
-#: Bumps of the leading joint, the next one if no stretch is possible with those before [rad].
+NEAR = 0.05  #: A stretch is tried where the smallest pivot of the rates is below this [-].
+FAR = 0.12  #: Longest way before and after it, as a share of the arm's reach [-].
+WAYS = (1.0, 0.6, 0.35, 0.2, 0.1, 0.0)  #: Shares of that way that are tried [-].
+STEP, MOST_STEPS = 2.0 * MM, 128  #: Step of a walk [m]; largest number of steps on half a segment.
+#: Bumps of the leading joint; each is tried if no stretch is possible with those before [rad].
 BUMPS = (0.0, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
-LEADERS, SOLUTIONS = 2, 2  #: Joints, and solutions after the pose, that are tried.
-FEW = pi / 3.0  #: A leading joint that turns farther may also turn the other way round [rad].
-SAME = 1e-7  #: Joints at the end of a stretch differ less from the solution there [rad].
-MOST_FAILED = 8  #: Steps without a solution after which a walk is lost.
+LEADERS, SOLUTIONS = 2, 2  #: Number of joints, and of solutions after the pose, that are tried.
+FEW = pi / 3.0  #: If a leading joint turns farther, the opposite direction is also tried [rad].
+SAME = 1e-7  #: Largest error of the joints at the end of a stretch [rad].
+MOST_FAILED = 8  #: A walk is lost after this many steps without a solution.
 
 
 @dataclass(frozen=True)
 class _Walk:
-    """What a walk found at its steps, and where the joints stand at the start of each segment."""
+    """Results of a walk at its steps, and the joints at the start of each segment."""
 
     s: FloatArray  # (m,) from the start of the path [m]
     q: FloatArray  # (m, 4, n)
@@ -103,7 +103,7 @@ class JointPassages(Passages[PathAhead]):
         return ready
 
     def _core(self, walk: _Walk, begin: float) -> tuple[float, float] | None:
-        """Return where a path comes near to a singular pose, and where it has left it [m]."""
+        """Return the path lengths at which a path approaches and leaves a singular pose [m]."""
         low = (walk.measure < NEAR * NEAR) & (walk.row >= self._open)
         if not low.any():
             return None
@@ -115,7 +115,7 @@ class JointPassages(Passages[PathAhead]):
     def _decide(
         self, path: PathAhead, walk: _Walk, core: tuple[float, float], rests: tuple[bool, bool]
     ) -> None:
-        """Lead past a pose by a joint if that is faster, keep the spin, or give up.
+        """Choose how to pass a pose: by a leading joint if that is faster, else by the spin.
 
         ``rests``: whether the motion rests at the start and at the end of the path.
         """
@@ -166,7 +166,7 @@ class JointPassages(Passages[PathAhead]):
         leaders: IntArray,
         rests: tuple[bool, bool],
     ) -> list[_Stretch]:
-        """Return the stretches between two path lengths on which one of some joints leads."""
+        """Return the stretches between two path lengths, one for each joint that may lead."""
         found = list[_Stretch]()
         left, left_end = self._solved(path, s[0], near)
         at_rest = rests[0] and s[0] <= path.ends[0], rests[1] and s[1] >= path.ends[-1]
@@ -194,7 +194,7 @@ class JointPassages(Passages[PathAhead]):
     def _solved(
         self, path: PathAhead, s: float, near: FloatArray
     ) -> tuple[FloatArray, tuple[int, float, float]]:
-        """Return the joints with three derivatives at a path length, the spin leading."""
+        """Return the joints and three derivatives at a path length, with the spin prescribed."""
         i, u = path.place(s)
         stands = Stands(near.copy(), np.zeros(1), self._height)
         place = Place(path.way(i, u), u, u + (1e-9 if u < 0.5 else -1e-9))
@@ -203,7 +203,7 @@ class JointPassages(Passages[PathAhead]):
         return axes.sample(self._chain.packed, path.segment(i), stands, free, place)[0], (i, u, s)
 
     def _solutions(self, path: PathAhead, s: float, near: FloatArray) -> list[FloatArray]:
-        """Return the solutions at a path length, turned nearest to joints (n,), those first."""
+        """Return the solutions at a path length, nearest to given joints (n,) first."""
         i, u = path.place(s)
         segment, machine = path.segment(i), self._chain.machine
         pose = axes.pose_jets(segment.kind, segment.shape, segment.f, u, u)
@@ -225,7 +225,7 @@ class JointPassages(Passages[PathAhead]):
         branch: float,
         least: float = 0.0,
     ) -> _Walk:
-        """Follow segments from joints on; with ``least`` until a measure is smaller."""
+        """Follow segments from given joints on; see ``walked`` for ``least``."""
         stands = Stands(q.copy(), np.array([branch]), self._height)
         given = self._chain.packed, path.rows(rows), path.lengths[rows], guides, stands
         opens = self._open if least == 0.0 else rows.stop
@@ -241,9 +241,9 @@ class JointPassages(Passages[PathAhead]):
         least: float,
         there: tuple[float, FloatArray] | None = None,
     ) -> float:
-        """Bound the time of segments from joints and branch on [s]; infinite if they are lost.
+        """Return a bound of the time of segments, from joints and branch on [s]; infinite if lost.
 
-        Where there is a stretch, ``there`` are the path length and the joints at its end.
+        ``there``: path length and joints at the end of the stretch, if there is one.
         """
         walk, machine = self._walk(path, rows, guides, *at, least), self._chain.machine
         q = walk.q[:, 0]
@@ -274,10 +274,11 @@ def walked(
     opens: int,
     least: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, bool]:
-    """Follow segments in steps from where the joints stand; see ``_Walk`` for what is returned.
+    """Follow segments in steps from the present joints, and return the fields of ``_Walk``.
 
-    With ``least`` it ends where a measure is smaller. Without it, it goes on past singular poses
-    in segments from ``opens`` on, on whatever branch it finds, and ends where it finds none.
+    The walk ends at the first step whose measure is below ``least``. If ``least`` is 0, it passes
+    singular poses in segments from ``opens`` on, continues on any branch that it finds, and ends
+    if there is none.
     """
     count, n = len(lengths), len(stands.q)
     halves = np.empty(count, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Passages of singular poses: segments wait until nothing later can change what leads them."""
+"""Passages of singular poses: segments wait until no later segment can change their guides."""
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
@@ -12,19 +12,19 @@ Ahead = TypeVar('Ahead', bound=PathAhead)
 
 
 class Passages(ABC, Generic[Ahead]):
-    """What the pole of a five-axis machine and the singular poses of an arm have in common."""
+    """Common part of the passages of a five-axis pole and of the singular poses of an arm."""
 
     def __init__(self) -> None:
         self._waiting: Ahead | None = None  # segments that are not released
         self._open = 0  # the first of them in which a stretch may begin
         self._begins, self._stopped = True, True
-        #: Path length from the last stop to the first segment that waits: the same bits however
-        #: the segments arrive [m].
+        #: Path length from the last stop to the first waiting segment [m]. Its bits do not depend
+        #: on how the segments arrive.
         self._begun = 0.0
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        """What the operator should know of the passages: a line, and a text."""
+        """A line number and a text for the operator about the passages, or None."""
         return None
 
     @abstractmethod
@@ -32,18 +32,18 @@ class Passages(ABC, Generic[Ahead]):
 
     @abstractmethod
     def _pass(self, path: Ahead, closed: bool) -> int:
-        """Decide what can be decided of a path from stop to stop; return how many segments."""
+        """Decide the passages of a path between stops, as far as possible; return the segments."""
 
     def _step_over(self, path: Ahead, i: int) -> None:
-        """Pass by a segment whose axes are coordinates of the path."""
+        """Skip a segment whose axes are coordinates of the path."""
 
     def _released(self) -> None:
-        """Note that the first segments have left."""
+        """Note that the first segments have been released."""
 
     def take(self, segments: PathSegments, motion: IntArray) -> Ahead:
-        """Take segments and how their axes move; return those that are decided.
+        """Take segments and the motion of their axes; return the segments that are decided.
 
-        Their deviation counts the passages.
+        Their deviation includes that of the passages.
         """
         path = self._look_at(segments, motion)
         if self._waiting is not None:

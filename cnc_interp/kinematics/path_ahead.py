@@ -1,6 +1,6 @@
-"""Segments that wait until it is decided what leads them past singular poses.
+"""Segments that wait until their way past singular poses is decided.
 
-Places on them are given by path length [m] or by segment and parameter u.
+A place on them is given by path length [m], or by segment and parameter u.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cnc_interp.kinematics.axis_path import septic_coefficients
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import PathSegments
 
-SAME_PLACE = 1e-9  #: Places on the path that are nearer together are the same [m].
+SAME_PLACE = 1e-9  #: Places on the path that are nearer than this are equal [m].
 
 
 @dataclass(frozen=True)
@@ -26,27 +26,28 @@ class PassageEnd:
     segment: int
     u: float
     s: float  #: Path length [m].
-    jet: FloatArray  #: (4,): The leading axis, three derivatives by path length [rad, rad/m ...].
+    #: (4,): The leading axis and three derivatives by path length [rad, rad/m ...].
+    jet: FloatArray
     branch: float
     tilt: float = 0.0  #: Inner axis of a five-axis machine [rad].
-    forbidden: bool = False  #: Whether travel keeps the tilt from changing its sign.
+    forbidden: bool = False  #: Whether the travel prevents a change of sign of the tilt.
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathAhead:
-    """Arrays have a row for each of n segments."""
+    """n waiting segments; arrays have a row for each."""
 
     height: float  #: Flank height [m].
     segments: PathSegments
-    motion: IntArray  #: (n,): How their rotary axes move.
-    guides: FloatArray  #: (n, m): What leads them, as far as it is decided.
-    bound: FloatArray  #: (n,): That of the deviation there [rad].
+    motion: IntArray  #: (n,): Motion of their rotary axes; see ``segment_axes.py``.
+    guides: FloatArray  #: (n, m): Guides of the segments, as far as decided.
+    bound: FloatArray  #: (n,): Bound of the deviation of the tool axis [rad].
     #: (n,): Position to which the outer axis turns at rest before a segment [rad], else NaN.
     turn_first: FloatArray
     shapes: FloatArray
     beside: FloatArray
     lengths: FloatArray  #: (n,): Path length [m].
-    begun: float = 0.0  #: Path length from the last stop to the first of them [m].
+    begun: float = 0.0  #: Path length from the last stop to the first segment [m].
 
     @staticmethod
     def of(
@@ -95,7 +96,7 @@ class PathAhead:
 
     @cached_property
     def ends(self) -> FloatArray:
-        """Path lengths at the ends of the segments, (n + 1,), the start first [m]."""
+        """Path lengths at the start and at the end of each segment, (n + 1,) [m]."""
         return np.cumsum(np.concatenate([[self.begun], self.lengths]))
 
     def way(self, i: int, u: float) -> float:
@@ -133,7 +134,7 @@ class PathAhead:
         )
 
     def led_between(self, left: PassageEnd, right: PassageEnd) -> tuple[slice, FloatArray]:
-        """Return the segments between two places, and their guides with the septic of both."""
+        """Return the segments between two places, and guides with the septic between these."""
         begin = left.segment + (left.u >= 1.0)
         end = right.segment + (right.u > 0.0)
         guides, length, coefficients = self.guides[begin:end].copy(), right.s - left.s, np.empty(8)

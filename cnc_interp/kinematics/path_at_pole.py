@@ -1,4 +1,4 @@
-"""Segments of which the passages of the pole are not decided yet, and what is known of them."""
+"""Segments whose passages of the pole are not decided yet, with their bounds."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import PathSegments
 
-AT_POLE = 0.9  #: The path is at the pole where this share of its tolerance reaches it [-].
-EXACT = 0.01  #: How exact the bound of the deviation should be, over the tolerance left [-].
-#: From coefficients of a polynomial of degree 6 to its Bezier values; its second row is that of 5.
+AT_POLE = 0.9  #: The path is at the pole if this share of its tolerance reaches the pole [-].
+EXACT = 0.01  #: Accuracy of the bound of the deviation, over the remaining tolerance [-].
+#: Matrices from the coefficients of a polynomial to its Bezier values, of degree 6 and 5.
 TO_BEZIER = [
     np.array([[comb(j, k) / comb(n, k) for k in range(n + 1)] for j in range(n + 1)])
     for n in (6, 5)
@@ -27,7 +27,7 @@ TO_BEZIER = [
 
 @dataclass(frozen=True)
 class Guides:
-    """Where the outer axis is given: a row for each segment, and the bounds of what it does."""
+    """Guides of the outer axis, one row per segment, and bounds of their effect."""
 
     rows: slice
     values: FloatArray  # (n, 13)
@@ -38,7 +38,8 @@ class Guides:
 @dataclass(frozen=True, kw_only=True)
 class PathAtPole(PathAhead):
     transform: FiveAxis  #: The machine's five-axis transformation.
-    near: FloatArray  #: (n, 2): Parameters between which it is at the pole; first > last if not.
+    #: (n, 2): Parameters between which it is at the pole; first > last if it is not.
+    near: FloatArray
     sine: FloatArray  #: (n,): Sine of the angle between tool axis and pole at the start [-].
     rates: FloatArray
 
@@ -78,7 +79,7 @@ class PathAtPole(PathAhead):
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
     def may_change_sign(self, i: int, tilt: float) -> bool:
-        """Say whether the tilt may go to the other side: its travel there is not the shorter."""
+        """Return whether the tilt may change its sign: travel is not shorter on the other side."""
         transform = self.transform
         inner = 1 - transform.outer
         low, high = transform.machine.travel[3 + inner]

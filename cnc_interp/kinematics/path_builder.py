@@ -25,10 +25,10 @@ from cnc_interp.smoothing.segments import PathSegments
 if TYPE_CHECKING:
     from cnc_interp.kinematics.joint_passage import JointPassages
 
-SAME_POSE = 1e-9  #: A tool that differs less from a pose is in it [m, -].
-SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less are no turn to follow [m],
-ROUNDING = 1e-14  #: and those that differ less than this share of their coordinates none at all.
-KINK_JERK = 0.02  #: Share of a jerk limit above which a kink, in one period, becomes a stop.
+SAME_TOOL = 1e-12  #: A curve whose tool vectors differ by less does not turn the tool [m];
+ROUNDING = 1e-14  #: below this share of their coordinates they are equal [-].
+#: A kink becomes a stop if its jerk, in one period, exceeds this share of the limit [-].
+KINK_JERK = 0.02
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Cells:
     tools: FloatArray
     feed: FloatArray
     block: IntArray
-    stop: BoolArray  #: At the end of each cell.
+    stop: BoolArray  #: Whether the motion rests at the end of each cell.
     counts: IntArray  #: Number of cells of each segment.
 
 
@@ -51,7 +51,7 @@ def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegme
 
 
 def _spreads(segments: PathSegments) -> FloatArray:
-    """Return by how much the tool vectors of each curve differ, shape (n,) [m]; 0 for others."""
+    """Return the spread of the tool vectors of each curve, shape (n,) [m]; 0 for other kinds."""
     tool, found = segments.top - segments.bottom, np.zeros(len(segments))
     for curve, points in ((kinds.CORNER, 5), (kinds.SPLINE, 6)):
         spread = np.ptp(tool[:, :points], axis=1).max(axis=1, initial=0.0)
@@ -61,10 +61,9 @@ def _spreads(segments: PathSegments) -> FloatArray:
 
 
 class AxisPathBuilder:
-    """Turn segments into machine axes, batch by batch; within the period a kink shows as jerk.
+    """Turns segments into machine axes, batch by batch; kinks are judged by their jerk.
 
-    ``spins`` (n, 10): for an arm, what turns its tool on each segment that comes (``SPIN``).
-    ``stands`` (n_axes,): an arm whose tool is in the first pose already begins as it stands.
+    ``spins`` (n, 10): for an arm, the spin of its tool on each coming segment (``SPIN``).
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class AxisPathBuilder:
         self._s = 0.0
         self._stopped = True
         self._end: tuple[FloatArray, FloatArray] | None = None
-        #: The segments of the path that ``push`` returned last; their deviation is the whole one.
+        #: The segments of the path that ``push`` returned last, with their total deviation.
         self.done: PathSegments | None = None
 
     @property
@@ -105,7 +104,7 @@ class AxisPathBuilder:
         return None if self.passages is None else self.passages.notice
 
     def _start(self, segments: PathSegments) -> None:
-        """Choose branch and whole turns at the first pose, if its words do not name them."""
+        """Choose branch and whole turns at the first pose, unless its words name them."""
         self._begun, line = True, int(segments.line_number[0])
         if isinstance(self.transform, JointChain):
             from cnc_interp.kinematics.joint_passage import JointPassages
@@ -128,7 +127,7 @@ class AxisPathBuilder:
             self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
 
     def push(self, segments: PathSegments) -> AxisPath | None:
-        """Take segments; return their axes, if any; BlockError with line, axis and value."""
+        """Take segments; return the path of those decided, if any; BlockError names the line."""
         if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
             raise BlockError(
                 f'the path moves {segments.extra.shape[2]} extra axes, but machine '
@@ -324,10 +323,10 @@ class AxisPathBuilder:
     def _kinks(
         self, left: FloatArray, feed_left: FloatArray, right: FloatArray, feed_right: FloatArray
     ) -> BoolArray:
-        """Return at which grid points q_s or q_ss jump so far that the tool must rest, shape (n,).
+        """Return at which grid points a jump of q_s or q_ss forces the tool to rest, shape (n,).
 
-        In a period a jump of q_s at speed v is a jerk of |jump| v / T^2, one of q_ss |jump| v^2 /
-        T. Exact corners jump by rounding only; ``linear`` and ``paper`` do not.
+        In one period T at speed v, a jump of q_s is a jerk of |jump| v / T^2, and a jump of q_ss
+        is a jerk of |jump| v^2 / T. At exact corners the jumps are only rounding errors.
         """
         speed = np.minimum(feed_left, feed_right)[:, None]
         speed = np.minimum(speed, self.machine.max_velocity / np.maximum(np.abs(left[1]), 1e-12))

@@ -1,4 +1,4 @@
-"""What is refused of a path in machine axes: tilt, unreachable poses, words, travel."""
+"""Checks that refuse a path in machine axes: tilt, unreachable poses, rotary words, travel."""
 
 from typing import NoReturn
 
@@ -12,15 +12,16 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.smoothing.segments import LINE, PathSegments
 
-TRAVEL_SLACK = 1e-9  #: The travel allows for rounding [m, rad].
-#: From the length's powers times value and three derivatives to Bezier values of the near half of
-#: a septic; with ``MIRROR`` to those of the far half, in reverse order.
+TRAVEL_SLACK = 1e-9  #: Allowance of the travel for rounding [m, rad].
+#: Matrix from value and three derivatives, times powers of the length, to the Bezier values of the
+#: near half of a septic. With ``MIRROR`` it gives those of the far half, in reverse order.
 TO_BEZIER = np.array(
     [[1, 0, 0, 0], [1, 1 / 7, 0, 0], [1, 2 / 7, 1 / 42, 0], [1, 3 / 7, 1 / 14, 1 / 210]]
 )
 MIRROR = np.array([[1.0], [-1.0], [1.0], [-1.0]])
-_PLACES = np.linspace(0.0, 1.0, 65)  #: Where the farthest position is looked for.
-OFF_WORDS = 15.0 * DEG  #: Largest difference of rotary words from positions that follow.
+_PLACES = np.linspace(0.0, 1.0, 65)  #: Places where the farthest position is searched [-].
+#: Largest accepted difference of rotary words from the positions reached [rad].
+OFF_WORDS = 15.0 * DEG
 
 
 def check_words(
@@ -69,7 +70,7 @@ def refuse_tilt(machine: Machine, segments: PathSegments) -> None:
 
 
 def refuse(transform: Transform, status: int, line: int, stands: FloatArray) -> NoReturn:
-    """Reject what cannot be cut into cells, and name the last positions reached."""
+    """Refuse a segment that cannot be cut into cells; the error names the last positions."""
     machine = transform.machine
     if isinstance(transform, JointChain) and status != STANDSTILL:
         raise transform.refusal(stands, line, status == SINGULAR)
@@ -95,9 +96,10 @@ def check_travel(
 ) -> None:
     """Refuse cells on which an axis leaves its travel, at their ends or between them.
 
-    A septic lies between its Bezier values. A cell is divided until these lie within the travel,
-    or an end of a part does not. They approach the curve with the square of the length, and half
-    of ``TRAVEL_SLACK`` lies between both decisions, so the division ends.
+    A septic lies between its least and greatest Bezier value. A cell is divided until these lie
+    within the travel, or until an end of a part lies outside. The Bezier values approach the curve
+    with the square of the length, and half of ``TRAVEL_SLACK`` separates both decisions, so the
+    division ends.
     """
     powers = steps[:, None, None] ** np.arange(4.0)[:, None]
     values = np.concatenate(

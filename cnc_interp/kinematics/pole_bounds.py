@@ -1,4 +1,4 @@
-"""Proven bounds: where a segment is near the pole, and how far the tool axis deviates there.
+"""Proven bounds: where a segment is near the pole, and the deviation of the tool axis there.
 
 On a segment the tool axis is o = D / |D| with ``D = E + L + (T(f) - T(u))``: E = T - B is the
 difference of top and bottom curve, L the connection, and f the parameter of the top curve, u
@@ -9,8 +9,8 @@ itself on most curves. With hulls (``core/bspline.py``) of the derivatives, and 
     |D''| <= |E''| + |L''| + |T''| e (2 + e) + |T'''| d + |T'| |f''|
     |o'| <= |D'| / |D|                       |o''| <= |D''| / |D| + |D'|^2 / |D|^2 along the sphere
 
-The sine of the angle to the pole changes by at most |o'| per u. So one place proves that a stretch
-around it is not near the pole, and the search goes on after it.
+The sine of the angle to the pole changes by at most |o'| per u. So its value at one place proves
+that a stretch around it is not near the pole, and the search continues after that stretch.
 
 Where the outer axis is given by C(s), the tool axis in its frame is v = Rot(u, -C) o. It deviates
 by g = lat(v) - lat(e_z), with the latitude about the axis w of the tilt (``guided_jets``). On the
@@ -35,17 +35,18 @@ from cnc_interp.machine_model.five_axis_kernels import guided_gap, outer_and_inn
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
-GRAZING, ON_IT = 1e-4, 1e-12  #: Farther still counts as near: a share, and rounding.
+#: Margins within which a farther place still counts as near: relative [-], and rounding [-].
+GRAZING, ON_IT = 1e-4, 1e-12
 MOST_POINTS = 4000  #: Largest number of points for a bound on one segment.
 HALVINGS = 50  #: Bisections for a place on a segment.
-#: Path lengths that differ by less are equal [-], and the most parts of half a segment.
+#: Relative difference of equal path lengths [-]; largest number of parts of half a segment.
 SAME_LENGTH, MOST_PARTS = 1e-15, 64
 #: Columns of the rates: bounds of |o_u|, of |o_uu| along the sphere, of |s_u| and of |s_uu|.
 TURN, BEND, SPEED, RISE = range(4)
 
 
 def rates_of(segments: PathSegments) -> FloatArray:
-    """Bound the derivatives by u of segments of poses, shape (n, 4); infinite without a bound."""
+    """Bound the derivatives by u on segments of poses, shape (n, 4); infinite if not bounded."""
     found = np.zeros((len(segments), 4))
     straight = (segments.kind == LINE) | (segments.kind == ROTATION)
     found[straight, TURN] = norm(segments.rotation)[straight]
@@ -111,7 +112,7 @@ def way_to_pole(
     limit: float,
     back: bool,
 ) -> float:
-    """Return how far in u from an end a segment is first near the pole; 2 if it nowhere is.
+    """Return the distance in u from an end to the first place near the pole; 2 if there is none.
 
     ``turn`` bounds |o_u|, ``limit`` is the sine that counts as near; ``back`` starts at u = 1.
     """
@@ -137,7 +138,7 @@ def near_pole(
 ) -> tuple[FloatArray, FloatArray]:
     """Return first and last parameter where the sine is within ``limits``, and the sine at u = 0.
 
-    They are 2 and -1 where a segment is not near the pole.
+    The parameters are 2 and -1 if the segment is nowhere near the pole.
     """
     near, start = np.empty((len(kinds), 2)), np.empty(len(kinds))
     for i in range(len(kinds)):
@@ -155,8 +156,8 @@ def near_pole(
 def way_to(kind, shape, beside, length, u):  # type: ignore[no-untyped-def]
     """Return the path length from the start of a segment of poses to u [m].
 
-    Each half is divided until the sum no longer changes: where the outer axis turns fast, a
-    millionth of a micrometre would show as a jump.
+    Each half is divided until the sum no longer changes. Where the outer axis turns fast, an error
+    of a millionth of a micrometre would already appear as a jump.
     """
     total = 0.0
     for half in range(2):
@@ -211,10 +212,10 @@ def gap_bounds(
     turning: FloatArray,
     allowed: FloatArray,
 ) -> FloatArray:
-    """Bound by what angle the tool axis deviates where the outer axis is given, shape (n,) [rad].
+    """Bound the deviation of the tool axis where the outer axis is prescribed, shape (n,) [rad].
 
-    ``turning`` bounds both derivatives of the outer axis by path length, ``allowed`` says how
-    exact each bound should be [rad]; ``rates`` as ``rates_of``.
+    ``turning`` bounds both derivatives of the outer axis by path length; ``allowed``: accuracy of
+    each bound [rad]; ``rates``: the result of ``rates_of``.
     """
     bounds = np.zeros(len(segments.kind))
     _, w = outer_and_inner(packed)

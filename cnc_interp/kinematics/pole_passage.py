@@ -1,8 +1,9 @@
-"""Passages of the pole (docs/how_it_works/corner_rounding.md): where the outer axis C is given.
+"""Passages of the pole (docs/how_it_works/corner_rounding.md): the outer axis C is prescribed.
 
-On a stretch around the pole, C is the septic of the path length that takes C and three derivatives
-of both ends; the tilt may change its sign, so C needs a quarter of a turn at most. A stretch is
-chosen when nothing later can change it: the result does not depend on how the segments arrive.
+On a stretch around the pole, C is the septic in path length that matches C and three derivatives
+at both ends. The tilt may change its sign, so C turns by a quarter turn at most. A stretch is
+chosen once no later segment can change it, so the result does not depend on how the segments
+arrive.
 """
 
 from dataclasses import dataclass, replace
@@ -17,10 +18,10 @@ from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, 
 from cnc_interp.machine_model.five_axis import ON_POLE, FiveAxis
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
-REACH = 30.0 * MM  #: Longest way before and after the pole on which the outer axis is given [m].
-FAR = 10.0  #: Between two cores passed together, the path is at most so far from the pole [-].
-WIDEST = 40.0 * DEG  #: A stretch begins in no segment farther from the pole than this [rad].
-SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened, and the shortest one [m].
+REACH = 30.0 * MM  #: Longest way before and after the pole on which C is prescribed [m].
+FAR = 10.0  #: Largest distance from the pole between two cores that are passed together [-].
+WIDEST = 40.0 * DEG  #: A stretch begins only in segments nearer to the pole than this [rad].
+SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened [-]; shortest stretch [m].
 
 
 @dataclass(frozen=True)
@@ -45,15 +46,16 @@ class PolePassages(Passages[PathAtPole]):
         self._transform, self._height = transform, height
         self._outer = transform.outer
         self._turn, self._branch, self._free = 0.0, 1.0, False
-        self.forbidden: list[int] = []  #: Lines where travel keeps the tilt's sign.
+        #: Lines where travel prevents a change of sign of the tilt.
+        self.forbidden: list[int] = []
 
     def begin(self, rotary: FloatArray, branch: float, free: bool) -> None:
-        """Begin at rotary positions [rad]; where ``free`` the outer axis may begin anywhere."""
+        """Begin at rotary positions [rad]; if ``free``, the outer axis may begin anywhere."""
         self._turn, self._branch, self._free = float(rotary[self._outer]), branch, free
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        """Where travel keeps the tilt from changing its sign: the first line, and a text."""
+        """The first line where travel prevents a change of sign of the tilt, and a text."""
         if not self.forbidden:
             return None
         machine = self._transform.machine
@@ -78,7 +80,7 @@ class PolePassages(Passages[PathAtPole]):
         self._stopped = bool(one.stop[i])
 
     def _pass(self, path: PathAtPole, closed: bool) -> int:
-        """Decide what can be decided of a path from stop to stop; return how many segments."""
+        """Decide the passages of a path between stops, as far as possible; return the segments."""
         ends, hold = path.ends, np.inf
         total = float(ends[-1])
         moves = bool((path.motion == FOLLOWING).any())
@@ -108,7 +110,7 @@ class PolePassages(Passages[PathAtPole]):
         return ready
 
     def _slowest_turning(self, path: PathAtPole, cores: list[_Core]) -> _Stretch | None:
-        """Return the stretch over the first core, or over it and the next, that turns C least."""
+        """Return the stretch over the first core, or the first two cores, that turns C least."""
         best: _Stretch | None = None
         for k, core in enumerate(cores):
             whole = replace(cores[0], end=core.end, rests_after=core.rests_after)
@@ -246,7 +248,7 @@ class PolePassages(Passages[PathAtPole]):
     def _right(
         self, path: PathAtPole, core: _Core, beyond: float, arrives: bool, left: PassageEnd
     ) -> PassageEnd:
-        """Return the last end of a stretch: on the branch that turns the outer axis less."""
+        """Return the end of the last stretch, on the branch that turns the outer axis less."""
         near = float(left.jet[0])
         s = float(path.ends[-1]) if arrives else core.end + beyond
         i, u = (len(path) - 1, 1.0) if arrives else path.place(s)
@@ -265,7 +267,7 @@ class PolePassages(Passages[PathAtPole]):
     def _set_free(
         self, path: PathAtPole, left: PassageEnd, right: PassageEnd, begins: bool
     ) -> PassageEnd:
-        """Start the outer axis where it will go, if the tool leaves the pole from rest."""
+        """Let the outer axis begin at its later position if the tool leaves the pole from rest."""
         leaves = self._stopped and path.motion[left.segment] == FOLLOWING
         if not begins or not (leaves or self._free):
             return left

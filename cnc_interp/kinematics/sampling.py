@@ -1,7 +1,7 @@
-"""Segments -> cells of the AxisPath: q and its exact derivatives by path length.
+"""Cut segments into cells of the AxisPath: q and its exact derivatives by path length.
 
-A segment is cut until the septics between the ends of cells meet the exact axes inside. Cells
-break where the third derivative may jump: at joins and at u = 0.5 of corners.
+A segment is cut until the septics of its cells agree with the exact axes inside the cells. Cells
+end where the third derivative may jump: at joins and at u = 0.5 of corners.
 """
 
 import numpy as np
@@ -13,17 +13,18 @@ from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 from cnc_interp.kinematics.segment_axes import Place, SegmentRows, Stands
 from cnc_interp.smoothing.segments import CORNER, SPLINE, corner_breaks
 
-CELL_ERROR = 1e-10  #: Septic and exact axes agree to this inside a cell [m or rad],
-#: and their third derivatives to this share; ROUNDING / h^3 is noise of the axes. It grows with
-#: the distance from the workpiece zero, as the tool axis is the difference of two points.
+CELL_ERROR = 1e-10  #: Largest error of the septic inside a cell [m or rad];
+#: largest relative error of its third derivative [-]. ROUNDING / h^3 is noise of the axes, which
+#: grows with the distance from the workpiece zero because the tool axis is a difference of two
+#: points.
 THIRD_ERROR = 0.01
 ROUNDING, ROUNDING_PER_METRE = 1e-12, 4e-12
-FINEST_CELL = 1e-10  #: Cells are not cut in two below this length [m]: s itself has its digits.
+FINEST_CELL = 1e-10  #: Shorter cells are not divided, because s itself is rounded [m].
 SAME_PARAMETER = 1e-12  #: Parameters nearer than this are the same place.
 MOST_CELLS = 4096  #: A segment is cut into at most this many cells.
 #: Parameters between the cells of a corner and of any other segment, before refinement.
 CORNER_GRID = np.linspace(0.0, 1.0, 13)
-FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3  #: What became of a segment.
+FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3  #: Result for a segment.
 
 
 @njit(cache=True, nogil=True)
@@ -36,7 +37,7 @@ def septic_fits(
     axes: IntArray,
     rounding: float,
 ) -> bool:
-    """Say whether the septic of a cell has the exact axes and third derivatives at one place."""
+    """Return whether the septic of a cell matches the exact axes and q_sss at one place."""
     coefficients = np.empty(8)
     for i in axes:
         septic_coefficients(left[:, i], right[:, i], h, coefficients)
@@ -51,7 +52,7 @@ def septic_fits(
 
 @njit(cache=True, nogil=True)
 def guided_grid(grid: FloatArray, guide: FloatArray) -> FloatArray:
-    """Return the parameters of a grid, shape (k,), with the ends of a guide among them."""
+    """Return the parameters of a grid, shape (k,), with the ends of a guide inserted."""
     for k in range(segment_axes.GUIDE_FROM, segment_axes.GUIDE_TO + 1):
         if 0.0 < guide[k] < 1.0 and np.abs(grid - guide[k]).min() > SAME_PARAMETER:
             grid = np.sort(np.append(grid, guide[k]))
@@ -100,12 +101,12 @@ def sample_segments(
     FloatArray,
     FloatArray,
 ]:
-    """Cut consecutive segments into cells; arguments as in ``sample``, segment by segment.
+    """Cut consecutive segments into cells; arguments as in ``sample``, one row per segment.
 
-    ``axes`` are the machine's own among X Y Z, rotary and extra axes; ``stands`` has the positions
-    at the end on return. Returns FINE, or why the segment after the last one counted cannot be
-    cut; cells of each segment, and those before u = 0.5; path lengths of the cells [m]; axes and
-    three derivatives at both ends (N, 4, n_axes); tool tips and axes at all ends (N + 1, 3).
+    ``axes``: columns of X Y Z, rotary and extra axes that the machine has. ``stands`` is updated
+    to the positions at the end. Returns FINE, or why the segment after the last counted one cannot
+    be cut; number of cells of each segment, and of those before u = 0.5; lengths of the cells [m];
+    axes and three derivatives at both ends (N, 4, n_axes); tips and tool axes (N + 1, 3).
     """
     n, n_axes = len(segments.kind), len(axes)
     counts, early = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)

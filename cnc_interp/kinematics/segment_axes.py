@@ -18,20 +18,20 @@ from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
 
 PLAIN_GRID = np.array([0.0, 0.5, 1.0])
-SLOWEST_TIP = 1e-6  #: A tip slower than this share of the top rests: no measure [-].
-#: How the rotary axes move on a segment: at rest, following the tool axis, or as coordinates of
-#: the path on the basis of the tip. With ALL_AXES, X Y Z are coordinates, too, not the tip.
-#: DRIFTING axes go smoothly to the tool axis at the end of a curve that turns the tool hardly more
-#: than its rounding: jets of such a turn would be noise, and at rest the next curve would begin
-#: with a step.
+SLOWEST_TIP = 1e-6  #: A tip slower than this share of the top's speed counts as resting [-].
+#: Motion of the rotary axes on a segment: at rest, following the tool axis, or as coordinates of
+#: the path beside the tip (LINEAR). With ALL_AXES, X Y Z are coordinates too, instead of the tip.
+#: DRIFTING axes move smoothly to the tool axis at the end of a curve whose turn is hardly above
+#: rounding. The jets of such a turn would be noise, and resting axes would leave a step at its
+#: end.
 RESTING, FOLLOWING, LINEAR, ALL_AXES, DRIFTING = 0, 1, 2, 3, -1
 SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
 #: Layout of a row of ``guides`` (``pole_passage.py``): parameters between which the outer axis
-#: is a septic of the path length, the branch after it, path length from the start of the septic to
-#: that of the segment, length of the septic [m], and its coefficients from the lowest on. For an
-#: arm, the number of the joint that is the septic follows, from 1 on, with the sign of the rates'
-#: determinant, then the same columns of the spin, which leads wherever no joint does, and the
-#: height of a bump (4 u (1 - u))^4 that is added to the joint's septic in u.
+#: is a septic in path length, the branch after it, path length from the start of the septic to the
+#: start of the segment, length of the septic [m], and its coefficients from the lowest on.
+#: For an arm follow the number of the leading joint (from 1, with the sign of the determinant of
+#: the rates), the same columns for the spin, which leads wherever no joint does, and the height of
+#: a bump (4 u (1 - u))^4 that is added to the joint's septic.
 GUIDE_FROM, GUIDE_TO, BRANCH_AFTER, GUIDE_BEGUN, GUIDE_LENGTH = range(5)
 GUIDE, GUIDE_JOINT, SPIN_BEGUN, SPIN, GUIDE_BUMP = slice(5, 13), 13, 14, slice(16, 24), 24
 NO_GUIDE = np.array([2.0, 2.0] + [0.0] * 11)
@@ -59,7 +59,7 @@ def shapes_of(segments: PathSegments) -> FloatArray:
 
 
 class Segment(NamedTuple):
-    """What kernels need of a segment."""
+    """The parts of a segment that kernels need."""
 
     kind: int
     motion: int
@@ -70,7 +70,7 @@ class Segment(NamedTuple):
 
 
 class SegmentRows(NamedTuple):
-    """The same of consecutive segments, as columns."""
+    """The fields of ``Segment`` for consecutive segments, as columns."""
 
     kind: IntArray
     motion: IntArray
@@ -87,11 +87,11 @@ class SegmentRows(NamedTuple):
 
 
 class Stands(NamedTuple):
-    """Where the axes were last; kernels go on from there and write where they have come to."""
+    """The latest positions of the axes; kernels continue from them and update them."""
 
-    #: (5 + k,), or (n,) of n joints: Positions, of which the nearest solutions are taken [m, rad].
+    #: (5 + k,), or (n,) for n joints: Positions; the solutions nearest to them are taken [m, rad].
     q: FloatArray
-    branch: FloatArray  #: (1,): +1 or -1: which of two solutions the rotary axes follow.
+    branch: FloatArray  #: (1,): +1 or -1, the one of two solutions that rotary axes follow.
     height: float  #: Flank height [m].
 
 
@@ -123,8 +123,8 @@ def sample(
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return the axes at one point of a segment.
 
-    Returns the axes with three derivatives by path length, (4, 5 + k), or (4, n) of n joints; tool
-    tip and axis, of no meaning where the rotary axes are coordinates; and the measure of
+    Returns the axes and three derivatives by path length, (4, 5 + k), or (4, n) for n joints; tool
+    tip and tool axis, which are meaningless if rotary axes are coordinates; and the measure of
     ``axis_jets``.
     """
     kind, motion, shape, beside, f, length = segment
@@ -152,11 +152,12 @@ def axis_jets(
     guide: FloatArray,
     place: Place,
 ) -> tuple[FloatArray, float]:
-    """Return the axes with three derivatives by path length for jets of a pose, (4, 5 + k).
+    """Return the axes and three derivatives by path length for the jets of a pose, (4, 5 + k).
 
-    Axes that follow keep the branch and the whole turns nearest to where they stand. The measure
-    is the squared sine of the tilt from the pole: negative when unreachable, 1 unless it is
-    solved. A chain of joints is packed as rows: which kernel it is, is known when it is compiled.
+    Axes that follow the tool keep their branch, and the whole turns nearest to their positions.
+    The measure is the squared sine of the tilt from the pole; it is negative if the pose is
+    unreachable, and 1 if nothing is solved. Whether ``packed`` is a five-axis machine or a chain
+    of joints is decided by its type at compile time.
     """
     kind, motion, beside = segment.kind, segment.motion, segment.beside
     p, o, speed = pose
@@ -232,7 +233,7 @@ def pose_jets(
 
 @njit(cache=True, nogil=True)
 def guide_jet(guide: FloatArray, way: float, begun: int) -> Jet:
-    """Return the jet by path length [rad] of what a septic gives whose row begins at ``begun``."""
+    """Return the jet by path length [rad] of the septic whose columns begin at ``begun``."""
     length = guide[begun + 1]
     u = (guide[begun] + way) / length
     value, first, second, third = septic_jet(guide[begun + 2 : begun + 10], u, length)
@@ -250,7 +251,7 @@ def bump_jet(guide: FloatArray, way: float) -> Jet:
 
 @njit(cache=True, nogil=True)
 def drift_jet(begin: float, goal: float, u: float) -> Jet:
-    """Return the jet in u of an axis that goes smoothly to a goal, if that is the same angle."""
+    """Return the jet in u of an axis that moves smoothly to ``goal``, if the angles agree."""
     if not abs(goal - begin) <= SAME_ANGLE:
         goal = begin
     points = np.array([begin, begin, begin, goal, goal, goal]).reshape(6, 1)
@@ -293,14 +294,14 @@ def speed_beside(p: VectorJet, beside: FloatArray, height: float, u: float, insi
 
 @njit(cache=True, nogil=True, inline='always')
 def squared_rate(p: Jet) -> Jet:
-    """Return the jet of (dp/du)^2; its third coefficient is not known and has no meaning."""
+    """Return the jet of (dp/du)^2; its third coefficient is meaningless."""
     rate = (p[1], 2.0 * p[2], 3.0 * p[3], 0.0)
     return jet.multiply(rate, rate)
 
 
 @njit(cache=True, nogil=True, inline='always')
 def speed_of(p: VectorJet) -> Jet:
-    """Return the jet of ds/du [m] from that of the tip; its third coefficient has no meaning."""
+    """Return the jet of ds/du [m], given that of the tip; its third coefficient is meaningless."""
     dx = (p[0][1], 2.0 * p[0][2], 3.0 * p[0][3], 0.0)
     dy = (p[1][1], 2.0 * p[1][2], 3.0 * p[1][3], 0.0)
     dz = (p[2][1], 2.0 * p[2][2], 3.0 * p[2][3], 0.0)
@@ -318,7 +319,7 @@ def arc_length(
     a: float,
     b: float,
 ) -> float:
-    """Return the path length between two u of one half of a segment [m], flank height as lever."""
+    """Return the path length between two u on one half of a segment [m]."""
     if kind != kinds.CORNER and kind != kinds.SPLINE:
         return length * (b - a)
     late = 0.5 * (a + b) > 0.5
@@ -342,7 +343,7 @@ def arc_length(
 
 @njit(cache=True, nogil=True)
 def tip_rests(shape: FloatArray) -> bool:
-    """Return whether the tip of a spline of this shape, as in ``sample``, rests at 0, 0.5 or 1."""
+    """Return whether the tip of a spline rests at u = 0, 0.5 or 1; ``shape`` as in ``sample``."""
     for u in PLAIN_GRID:
         tip = top = 0.0
         for k in range(3):

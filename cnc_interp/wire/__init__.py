@@ -1,1 +1,1 @@
-"""Dataclasses to ROS messages and back, their checks, and the window protocol."""
+"""Conversion of dataclasses to ROS messages and back, message checks, and the window protocol."""

@@ -31,7 +31,7 @@ def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState
 def executed_setpoints(
     playback: Playback, period: float
 ) -> list[tuple[msg.SetpointChunk, msg.AxisFeedback]]:
-    """Return the setpoints executed since the last call, and feedback; numbered through a run."""
+    """Return setpoints executed since the last call, and feedback; numbers run through the run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
     queue = playback.switching.switched
     switched = [queue.popleft() for _ in range(len(queue))]
@@ -53,7 +53,7 @@ def executed_setpoints(
 
 
 def followed_spindle(playback: Playback) -> Iterator[msg.FollowedSpindle]:
-    """Yield what was in step with the spindle since the last call, one message for each line."""
+    """Yield the motion in step with the spindle since the last call, one message per line."""
     found = [playback.followed.popleft() for _ in range(len(playback.followed))]
     for (run_id, block), parts in groupby(found, lambda each: (each.run_id, each.block)):
         each = list(parts)
@@ -88,7 +88,7 @@ def _executed_of_plan(
     return setpoints, msg.AxisFeedback(**common, positions=packed(actual))
 
 
-#: Fields of ``MachineState`` with the names that ``RunState`` and ``Playback`` have for them.
+#: Fields of ``MachineState``, with their names in ``RunState`` and ``Playback``.
 OF_RUN = (
     'waits_for',
     'reason',
@@ -152,7 +152,7 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
 def signals_message(
     signals: Signals, outputs: Sequence[float], inputs: Sequence[float]
 ) -> msg.MachineSignals:
-    """Return outputs and inputs, without those that change all the time: numbers."""
+    """Return outputs and inputs as a message, without numeric inputs, which keep changing."""
     told = [k for k, signal in enumerate(signals.inputs) if not signal.is_number]
     return msg.MachineSignals(
         outputs=[signal.name for signal in signals.wires],

@@ -1,4 +1,4 @@
-"""Blocks, functions, segments and setpoints <-> messages, bit for bit; see ``message_checks``."""
+"""Convert blocks, functions, segments and setpoints to messages and back, bit for bit."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ from cnc_interp.wire.run_messages import run_id_of
 CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 LINEAR_KNOTS = array('d', [0.0, 0.0, 1.0, 1.0])
 QUINTIC_KNOTS = array('d', [0.0] * 6 + [1.0] * 6)
-#: Degree, knots and number of control points of each kind's curves.
+#: Degree, knots and number of control points of the curves of each kind of segment.
 CURVES = {CORNER: (3, CUBIC_KNOTS, 5), SPLINE: (5, QUINTIC_KNOTS, 6)}
 LINE_CURVE = (1, LINEAR_KNOTS, 2)
-#: Bezier points of a connection, quintic or septic, and degree of the parametrization's spans.
+#: Number of Bezier points of a quintic and a septic connection; degree of parametrization spans.
 CONNECTION_POINTS = (6, 8)
 SPAN_DEGREE = 6
 
-FIELDS = {'extra': 'extra_axes'}  #: Columns of ``Blocks`` by another name.
-#: Columns of ``PathSegments`` that messages have alike, and those of two values: their fields.
+FIELDS = {'extra': 'extra_axes'}  #: Fields whose name differs from their column of ``Blocks``.
+#: Columns of ``PathSegments`` with a field of the same name; columns of two values, and their
+#: fields.
 ALIKE = {
     'kind': 'kind',
     'axis': 'axis',
@@ -60,7 +61,7 @@ PAIRS = {
 def block_messages(
     blocks: Blocks, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[G1Block]:
-    """Convert rows to messages; ``end``: the last row ends the program; flank height [m]."""
+    """Convert rows to messages; ``end``: whether the last row ends the program."""
     columns: dict[str, list[Any]] = {'spline': blocks.on_spline.tolist()}
     for name, declared in Blocks.declared.items():
         values = getattr(blocks, name)
@@ -136,7 +137,7 @@ def _spline(points: FloatArray, kind: int) -> BSpline:
 
 
 def _parametrization(spans: FloatArray) -> BSpline:
-    """Describe the spans of u_top = f(u), shape (k, 8), as a B-spline; without spans empty."""
+    """Convert the spans of u_top = f(u), shape (k, 8), to a B-spline, which may be empty."""
     if not len(spans):
         return BSpline()
     inner = np.repeat(spans[1:, 0], SPAN_DEGREE)
@@ -228,7 +229,7 @@ def functions_from(messages: Sequence[Function]) -> Functions:
 
 
 def check_functions(name: str, messages: Sequence[Function], signals: Signals) -> None:
-    """Refuse functions with gaps, out of order, or that the machine file does not have."""
+    """Refuse functions that have gaps, are out of order, or are unknown to the machine file."""
     for before, message in pairwise(messages):
         if message.number != before.number + 1 or message.sequence < before.sequence:
             raise StreamError(f'{name}: function {message.number} does not follow')
@@ -242,7 +243,7 @@ def check_functions(name: str, messages: Sequence[Function], signals: Signals) -
             raise StreamError(f'{name}: function {message.number}: {fault}')
 
 
-#: Fields of ``SetpointChunk`` with a row for each setpoint, and their columns in ``Setpoints``.
+#: Fields of ``SetpointChunk`` with a value for each setpoint, and their columns in ``Setpoints``.
 SETPOINT_FIELDS = {
     'positions': 'position',
     'velocities': 'velocity',
@@ -252,7 +253,7 @@ SETPOINT_FIELDS = {
     'sequences': 'block',
     'line_numbers': 'line',
 }
-INTEGERS = {'sequences': 'Q', 'line_numbers': 'I'}  #: Those of integers, with their types.
+INTEGERS = {'sequences': 'Q', 'line_numbers': 'I'}  #: Integer fields and their array types.
 NO_SIGNALS, AS_PROGRAMMED = Signals(), OperatorSettings()
 
 
@@ -265,7 +266,7 @@ def chunk_message(
     signals: Signals = NO_SIGNALS,
     settings: OperatorSettings = AS_PROGRAMMED,
 ) -> SetpointChunk:
-    """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
+    """Convert a chunk to a message; ``joins``: whether its plan joins in motion with it."""
     samples = chunk.samples
     return SetpointChunk(
         **vars(run_id),
@@ -286,7 +287,7 @@ def chunk_message(
 
 
 def settings_of_plan(message: SetpointChunk) -> OperatorSettings:
-    """Return the settings of the operator with which the plan of a message was made."""
+    """Return the operator's settings with which the plan of a message was made."""
     shares = message.rapid_override, message.spindle_override
     return OperatorSettings(message.feed_override, message.single_block, *shares)
 
@@ -308,7 +309,7 @@ def chunk_from(message: SetpointChunk) -> Chunk:
 
 
 def setpoints_from(message: SetpointChunk, prefix: str = '', before: int = 0) -> Setpoints:
-    """Read the setpoints, or with a prefix those of the tail, which come after so many."""
+    """Read the setpoints of a chunk, or with a prefix those of its stop tail."""
     n, columns = len(getattr(message, f'{prefix}sequences')), {}
     for field, name in SETPOINT_FIELDS.items():
         declared = Setpoints.declared[name]
@@ -319,7 +320,7 @@ def setpoints_from(message: SetpointChunk, prefix: str = '', before: int = 0) ->
 
 
 class JoinGate:
-    """Keeps the first chunks of a plan that joins until there are enough of them."""
+    """Holds back the first chunks of a joining plan until there are enough of them."""
 
     def __init__(self, enough: int):
         self._enough = enough
@@ -328,7 +329,7 @@ class JoinGate:
         self._count = self._next = 0
 
     def passed(self, chunk: SetpointChunk, current: RunId, limit: int) -> list[SetpointChunk]:
-        """Return the chunks that may pass; ``limit``: first setpoint that must not be sent."""
+        """Return the chunks that may be sent; ``limit``: first setpoint that must wait."""
         run_id, first, count = run_id_of(chunk), chunk.first_sample, len(chunk.sequences)
         if run_id == current or not (chunk.joins or run_id == self._run_id):
             return [chunk]

@@ -1,4 +1,4 @@
-"""Messages about a whole run: its settings, the machine's report, how far it is, its result."""
+"""Messages about a whole run: its settings, the machine's report, its progress and its result."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ from cnc_interp.settings.options import Settings, texts_of, with_texts
 
 
 def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) -> None:
-    """Add what was executed in all parts of a program, each with its last state."""
+    """Add up in a result what was executed; ``states``: last state of each part of a program."""
     for state in states:
         count, period = state.samples - state.approach_samples, state.interpolation_period
         result.cycle_time += max(0, count - 1) * period
@@ -43,7 +43,7 @@ def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) 
 
 
 def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feedback:
-    """Make the feedback of a run that moves, on a smoothed path of a length [m]."""
+    """Return the feedback of a run in motion; ``path_length``: of its smoothed path [m]."""
     period = state.interpolation_period
     share = min(1.0, max(0.0, state.path_position / path_length))
     driven = (state.samples - state.approach_samples) * period
@@ -58,7 +58,7 @@ def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feed
 
 
 def in_program(state: msg.MachineState | None) -> bool:
-    """Return whether a program or a line is executed, or held, even where axes were moved away."""
+    """Return whether a program or MDI line is executed or held, even if axes were moved away."""
     if state is None:
         return False
     away = len(state.resume_positions) > 0
@@ -77,7 +77,7 @@ def coordinates_from(modes: msg.ModalState) -> ProgramCoordinates:
 
 
 def run_id_of(message: Any) -> RunId:
-    """Read the identity from a message; a message without the field ``plan`` has plan 0."""
+    """Return the run that a message belongs to; without a field ``plan`` its plan is 0."""
     return RunId(message.program_id, message.attempt, getattr(message, 'plan', 0))
 
 
@@ -90,7 +90,10 @@ def setup_table(
     by: str,
     what: str,
 ) -> msg.SetupTable:
-    """``zero``: that of the machine file; ``program_id``: the run that began with the setup."""
+    """Convert a setup to a message.
+
+    ``zero``: workpiece zero of the machine file; ``program_id``: run that began with this setup.
+    """
     tools = [
         msg.Tool(number=number, length=tool.length, radius=tool.radius, remark=tool.remark)
         for number, tool in sorted(setup.tools.items())
@@ -122,7 +125,8 @@ def _offset(name: str, position: Position) -> msg.Offset:
     return msg.Offset(name=name, axes=list(position), values=list(position.values()))
 
 
-#: States of which the message has no number of their own; those of all others have their names.
+#: States without a number of their own in the message, with the state that is sent instead. All
+#: other states have a number of the same name.
 TOLD_AS = {
     State.PAUSED: State.RUNNING,
     State.FILLING: State.RUNNING,
@@ -172,7 +176,7 @@ def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
 def goal_of(
     program: Path, settings: Settings, names: Collection[str] | None = None, text: str = ''
 ) -> RunProgram.Goal:
-    """Return the goal that runs a program with settings: those of some names, or all."""
+    """Return the goal for a program. It carries all settings, or only those in ``names``."""
     wanted = [c for c in choices(settings) if names is None or c.name in names]
     texts = {c.name: c.text_with_unit(getattr(settings, c.name)) for c in wanted}
     pairs = [KeyValue(key=name, value=value) for name, value in texts.items()]
@@ -180,10 +184,10 @@ def goal_of(
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
-    """Return the settings that a goal asks for: its fields unless 0 or empty, then its list.
+    """Return the settings of a goal: its fields that are not 0 or empty, then its list.
 
-    Raises SettingsError if a choice is unknown or not possible, belongs to the nodes and differs
-    from theirs, or is only for `plan`.
+    Raises SettingsError if a setting is unknown or impossible, if it belongs to the nodes and
+    differs from theirs, or if only `plan` has it.
     """
     fields = goal.get_fields_and_field_types()
     given = {

@@ -1,9 +1,9 @@
-"""Seals: the bytes after a message that say which of the nodes sent it.
+"""Seals: bytes after a message that prove which of the nodes sent it.
 
-A seal is the number of the sender, that of the message, and a code (HMAC-SHA-256, its first eight
-bytes) of namespace, topic and message, keyed with a secret that the nodes of one user share.
-Readers of the message ignore what comes after it. DDS delivers multiples of four bytes to another
-process, so the message is filled up to one before its seal.
+A seal holds the number of the sender, the number of the message, and a code. The code is the first
+eight bytes of an HMAC-SHA-256 of namespace, topic and message, keyed with a secret that the nodes
+of one user share. Readers of the message ignore the bytes after it. DDS delivers multiples of four
+bytes to another process, so the message is padded to such a multiple before its seal.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from typing import NamedTuple
 
 from cnc_interp.core import InterpError
 
-KEY_FILE = 'CNC_INTERP_KEY_FILE'  #: Variable with the file of the key; else one of this user.
+KEY_FILE = 'CNC_INTERP_KEY_FILE'  #: Variable that names the key file; the default is per user.
 LAYOUT = struct.Struct('<II')  #: Sender and number of a message.
 CODE = 8  #: Bytes of the code.
 SIZE = LAYOUT.size + CODE
-ALIGNED = 4  #: Messages are delivered in multiples of so many bytes.
+ALIGNED = 4  #: DDS delivers messages in multiples of this size [bytes].
 KEY = 32  #: Bytes of a key.
-SILENT = 1.0  #: A sender that was not heard for so long may be followed by another one [s].
+SILENT = 1.0  #: After this silence of a sender another one may take its place [s].
 
 
 def key_file() -> Path:
-    """Return the file of the key, which exists until the computer restarts."""
+    """Return the key file; the default file lasts until the computer restarts."""
     named = os.environ.get(KEY_FILE)
     return Path(named) if named else Path(f'/dev/shm/cnc_interp_{os.getuid()}.key')
 
 
 @cache
 def key_in(path: Path) -> bytes:
-    """Read a key, or make it; InterpError if others can read or could have written it."""
+    """Read a key, or create it; InterpError if other users can read it or may have written it."""
     made = path.with_name(f'{path.name}.{secrets.token_hex(8)}')
     try:
         if not path.exists():
@@ -60,7 +60,7 @@ def key_in(path: Path) -> bytes:
 
 
 class Place(NamedTuple):
-    """Where messages are sealed: namespace and topic, with the key of the nodes."""
+    """The namespace and topic in which messages are sealed, with the key of the nodes."""
 
     name: bytes
     key: bytes
@@ -91,11 +91,11 @@ WAITS = 'waits for the first sender to be silent'
 
 
 class KnownSender:
-    """The one sender of a stream: the first one heard, until it is silent.
+    """The one accepted sender of a stream: the first one heard, until it falls silent.
 
-    ``numbered``: whether the messages have numbers of their own, and may come late or twice.
-    A second sender may be the next process of a node that was lost, so its messages are not told
-    of before the first one is heard again.
+    ``numbered``: whether messages carry their own numbers, so that late or repeated ones are
+    accepted here. A second sender may be the restarted process of a lost node. Its messages are
+    therefore counted, and reported only if the first sender is heard again.
     """
 
     def __init__(self, numbered: bool = False):
@@ -105,7 +105,7 @@ class KnownSender:
         self._past: set[int] = set()
 
     def fault(self, sender: int, number: int, now: float) -> str:
-        """Return why a message with a sound seal does not count; empty if it does."""
+        """Return why a message with a valid seal is ignored; empty if it is accepted."""
         if sender != self._sender:
             if sender in self._past:
                 return SECOND
@@ -121,7 +121,7 @@ class KnownSender:
 
 
 def opened_seal(place: Place, data: bytes) -> tuple[bytes, int, int] | None:
-    """Return message, sender and number; None without the right seal."""
+    """Return message, sender and number; None if the seal is not valid."""
     body = data[:-CODE]
     if len(data) <= SIZE or not hmac.compare_digest(data[-CODE:], place.code(body)):
         return None

@@ -1,8 +1,8 @@
-"""Both ends of a windowed stream, as TCP does it; pure bookkeeping without a clock or ROS.
+"""Both ends of a stream with a sliding window, as in TCP; without a clock or ROS.
 
-Items carry gap-free numbers within a program; one may count for several (a chunk of setpoints).
-The sender keeps every item until it is acknowledged. What was lost it sends again: the first one
-that is missing, and what comes after it only as far as the receiver turns out to lack it too.
+Items are numbered without gaps within a program; an item with several elements (a chunk of
+setpoints) takes several numbers. The sender keeps every item until it is acknowledged. It resends
+the first missing item, and later ones only once the receiver reports that they are missing too.
 """
 
 import math
@@ -14,11 +14,11 @@ from cnc_interp.core import Refusal, StreamError
 from cnc_interp.run.run_state import NO_RUN, RunId
 
 Item = TypeVar('Item')
-REMEMBERED = 64  #: Programs whose late messages are recognised as such.
-#: Time that items sent again are given to arrive; doubled each time that they do not, so that a
-#: busy computer is not made busier [s].
+REMEMBERED = 64  #: Number of past programs whose late messages are recognised.
+#: Time allowed for resent items to arrive. It doubles with each failure, so that an overloaded
+#: computer is not loaded further [s].
 SETTLE = 0.05
-MOST_PATIENT = 16.0  #: Longest time before a repetition, as a multiple of the first one.
+MOST_PATIENT = 16.0  #: Longest delay before resending, as a multiple of the first.
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Numbered(Generic[Item]):
 
 
 class WindowedSender(Generic[Item]):
-    """The sending end; sends again after ``resend_after`` [s] of silence, then twice that."""
+    """The sending end; it resends after ``resend_after`` [s] of silence, then after twice that."""
 
     def __init__(self, resend_after: float):
         self.resend_after = self._patience = resend_after
@@ -57,7 +57,7 @@ class WindowedSender(Generic[Item]):
         self._patience = self.resend_after
 
     def begin(self, run_id: RunId, first: int = 0, limit: int = 0) -> None:
-        """Start a new program with a number; what is left of the old one is dropped."""
+        """Start a new program at a number; unsent items of the old one are dropped."""
         self.run_id = run_id
         self._begin(first, limit)
 
@@ -74,7 +74,7 @@ class WindowedSender(Generic[Item]):
         return not self._items
 
     def due(self, now: float) -> list[Numbered[Item]]:
-        """Return the items to send now, lost ones included; the very first one may always go."""
+        """Return the items to send now, lost ones included; the first may ignore the window."""
         if self._in_flight and now - self._since > self._patience:
             self._lost()
             self._patience = min(2.0 * self._patience, MOST_PATIENT * self.resend_after)
@@ -105,7 +105,7 @@ class WindowedSender(Generic[Item]):
     def acknowledge(
         self, run_id: RunId, next_number: int, window_limit: int, now: float, gap: bool = False
     ) -> None:
-        """Use a status of this run's receiver; what it misses and still takes is sent again."""
+        """Process a status of the receiver; items that it lacks and still accepts are resent."""
         if run_id != self.run_id or next_number > self.sent:
             return
         if self._items and self._items[0].after <= next_number:
@@ -128,7 +128,7 @@ class WindowedSender(Generic[Item]):
 
 
 class WindowedReceiver:
-    """The receiving end; ``window``: numbers that may be sent beyond what was consumed."""
+    """The receiving end; ``window``: how many numbers may be sent beyond the last consumed."""
 
     def __init__(self, stream: str, window: int):
         self.stream, self.window = stream, window
@@ -149,7 +149,7 @@ class WindowedReceiver:
         return self.consumed + self.window if self.active else self.next_number
 
     def expect(self, run_id: RunId, first: int, begins: bool) -> None:
-        """Check that an item is next or ``begins`` a program; StreamError, nothing changes."""
+        """Raise StreamError unless an item is next or ``begins`` a program; change nothing."""
         why, kind = self._fault(run_id, first, begins)
         if kind is Refusal.PLAN_OVER:
             raise StreamError(why, kind)
@@ -188,7 +188,7 @@ class WindowedReceiver:
         return '', Refusal.NONE
 
     def take(self, run_id: RunId, first: int, count: int = 1, end: bool = False) -> None:
-        """Count an item that ``expect`` accepted and that is valid."""
+        """Count a valid item that ``expect`` has accepted."""
         if run_id != self.run_id:
             self._begin(run_id, first)
         self.next_number += count
@@ -208,11 +208,11 @@ class WindowedReceiver:
         self.refused, self.refusal_text = kind, reason
 
     def close(self, reason: str) -> None:
-        """Accept nothing more of this plan; messages on their way are ignored."""
+        """Accept nothing more of this plan; messages still in transit are ignored."""
         self.complete, self._closed = True, reason
 
     def make_way(self, run_id: RunId) -> None:
-        """Give up a run that has not moved, for one that was never heard of."""
+        """Give up a run that has not moved, so that an unknown new run can begin."""
         if run_id not in self._past:
             self.close('its sender has begun another run before it moved')
 
@@ -221,7 +221,7 @@ class WindowedReceiver:
 
 
 class Silence:
-    """Time spent waiting for another node, without own work; the caller gives the time."""
+    """Time spent waiting for another node, excluding own work; the caller supplies the clock."""
 
     def __init__(self) -> None:
         self._heard = -math.inf
@@ -231,6 +231,6 @@ class Silence:
         self._heard = now
 
     def waited(self, waits: bool, now: float) -> float:
-        """Return how long the other node was silent while something was expected from it [s]."""
+        """Return how long the other node has been silent while an answer was expected [s]."""
         self._waits_since = min(self._waits_since, now) if waits else math.inf
         return now - max(self._heard, self._waits_since) if waits else 0.0

@@ -1,7 +1,7 @@
 """The limits of the axes: one object per axis, made from the machine file and used in every room.
 
 Rooms read a quantity from ``Limits`` by its name. Kernels get ``Limits.table``, which is packed
-only here; ``limits_by_position.py`` describes and reads it. A new kind of limit, such as one that
+only here; ``limit_table.py`` describes and reads it. A new kind of limit, such as one that
 depends on another axis, needs a field of ``AxisLimits``, rows of the table, and a change of
 ``limit_at``.
 """
@@ -122,7 +122,7 @@ class Limits:
 
     @cached_property
     def table(self) -> FloatArray:
-        """All limits in the form for kernels, (7, n_axes, m); see ``limits_by_position.py``."""
+        """All limits in the form for kernels, (7, n_axes, m); see ``limit_table.py``."""
         m = max((len(of.position) for _, of in self.placed), default=1)
         table = np.zeros((7, len(self.axes), m))
         table[:PLACE], table[PLACE], table[DRIVE] = self.by_order[..., None], inf, inf

@@ -25,6 +25,7 @@ from cnc_interp.smoothing.segments import PathSegments
 if TYPE_CHECKING:
     from cnc_interp.kinematics.joint_passage import JointPassages
 
+SAME_POSE = 1e-9  #: A tool that differs from a pose by less is in that pose [m, -].
 SAME_TOOL = 1e-12  #: A curve whose tool vectors differ by less does not turn the tool [m];
 ROUNDING = 1e-14  #: below this share of their coordinates they are equal [-].
 #: A kink becomes a stop if its jerk, in one period, exceeds this share of the limit [-].
@@ -64,6 +65,7 @@ class AxisPathBuilder:
     """Turns segments into machine axes, batch by batch; kinks are judged by their jerk.
 
     ``spins`` (n, 10): for an arm, the spin of its tool on each coming segment (``SPIN``).
+    ``stands`` (n_axes,): positions of an arm, which it keeps if its tool is in the first pose.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What the axes did, compared with what they were told: errors, use of limits; no clock."""
+"""Compare the motion of the axes with its setpoints: errors and use of limits; without a clock."""
 
 import math
 from dataclasses import dataclass
@@ -14,11 +14,12 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.setpoints import BEFORE, Setpoints, largest_shares, torque_shares
 
-ROUNDING = 1.01  #: Differences of valid setpoints exceed a limit by rounding at most.
+#: Factor on a limit within which differences of setpoints are accepted, for rounding [-].
+ROUNDING = 1.01
 
 
 def beyond_travel(machine: Machine, positions: FloatArray) -> str:
-    """Return which axis would leave its travel first and where, in words; empty if none does."""
+    """Return a text with the first axis that would leave its travel, and where; else ''."""
     travel = machine.travel
     outside = (positions < travel[:, 0] - TRAVEL_SLACK) | (positions > travel[:, 1] + TRAVEL_SLACK)
     if not outside.any():
@@ -35,8 +36,8 @@ def refuse_setpoints(
 ) -> None:
     """Refuse setpoints that leave the travel or break a limit; StreamError with axis and value.
 
-    ``before`` (3, n_axes): those before them; ``positions`` (K, n_axes): must end at rest [m,
-    rad].
+    ``before`` (3, n_axes): the last setpoints before them; ``positions`` (K, n_axes) must end at
+    rest [m, rad].
     """
     beyond = beyond_travel(machine, positions)
     if beyond:
@@ -55,12 +56,12 @@ def refuse_setpoints(
             )
 
 
-GROSS = 1.5  #: So many times its largest velocity is an error of the sender.
+GROSS = 1.5  #: A velocity above this multiple of the limit is an error of the sender [-].
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What the axes did in K periods, one row each."""
+    """The motion of the axes in K periods, one row each."""
 
     #: (K, n_axes): Commanded and actual axes, and commanded minus actual position [m, rad, per s].
     #: Drives with a FIFO answer an earlier setpoint; their errors count from that one.
@@ -71,8 +72,8 @@ class Recording:
     #: (K, 3): Actual tool tip [m] and tool axis [-] in W.
     tip: FloatArray
     axis: FloatArray
-    #: (K,): Distance of the actual tip of a few periods before from the path of the commanded
-    #: tips, see ``ContourErrors`` [m].
+    #: (K,): Distance of the actual tip from the path of the commanded tips [m]. It belongs to the
+    #: tip of a few periods earlier; see ``ContourErrors``.
     contour_error: FloatArray
     feedrate: FloatArray  #: (K,): Actual speed of the tip relative to the workpiece [m/s].
     #: (3, n_axes): Largest velocity, acceleration and jerk of the setpoints over their limits [-];
@@ -81,7 +82,7 @@ class Recording:
 
 
 class ContourErrors:
-    """Distances of actual tips from the commanded path; with the next tips, as brakes may lead."""
+    """Distances of actual tips from the commanded path; later tips count too: drives may lead."""
 
     def __init__(self, period: float, lag: float, tip: FloatArray):
         late = math.ceil(AHEAD / period)
@@ -90,7 +91,7 @@ class ContourErrors:
         self._waiting = np.tile(tip, (late, 1))
 
     def push(self, commanded: FloatArray, tips: FloatArray) -> FloatArray:
-        """Take the next commanded and actual tips (K, 3); return K distances of ``AHEAD`` ago."""
+        """Take commanded and actual tips (K, 3); return K distances, ``AHEAD`` periods late."""
         trail = np.concatenate([self._trail, commanded])
         waiting = np.concatenate([self._waiting, tips])
         self._trail, self._waiting = trail[1 - self._memory :], waiting[len(tips) :]
@@ -136,7 +137,7 @@ class AxisMotion:
         v: FloatArray,
         answered: FloatArray | None = None,
     ) -> Recording:
-        """Compare what was asked for with what the drives did, in the periods that follow."""
+        """Compare setpoints with the motion of the drives in the next periods."""
         answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])
         use = largest_shares(held, self._limits, self.period)
@@ -168,7 +169,7 @@ class AxisMotion:
         return recent
 
     def fault_of(self, wanted: FloatArray, velocity: FloatArray) -> str:
-        """Say why a setpoint and its velocity cannot follow the last one; empty if they can."""
+        """Return why a setpoint and its velocity cannot follow the last one; '' if they can."""
         count = len(self.machine.axis_names)
         if not (np.isfinite(wanted).all() and np.isfinite(velocity).all()):
             return f'setpoint and its velocity must be {count} finite numbers each'

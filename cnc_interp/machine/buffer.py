@@ -15,14 +15,14 @@ from cnc_interp.run.setpoints import Chunk, Wait
 
 @dataclass(frozen=True)
 class BufferedChunk:
-    serial: int  #: Its number in the cycle.
-    run_id: RunId  #: The plan that it belongs to.
+    serial: int  #: Number of the chunk in the cycle.
+    run_id: RunId  #: Plan to which it belongs.
     first: int  #: Number of its first setpoint since the last rest by a stop.
-    chunk: Chunk  #: Setpoints, stop tail, and what comes after.
-    acts: ActsOfChunk  #: What is switched.
+    chunk: Chunk  #: Setpoints, stop tail and continuation.
+    acts: ActsOfChunk  #: Functions that act in it.
 
     def head(self, count: int, serial: int, acts: ActsOfChunk) -> BufferedChunk:
-        """Return its first setpoints as a chunk with another serial number."""
+        """Return the first setpoints as a chunk with another serial number."""
         return BufferedChunk(serial, self.run_id, self.first, self.chunk.head(count), acts)
 
     @property

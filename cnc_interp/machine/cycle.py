@@ -1,12 +1,12 @@
 """The cycle of the machine: one compiled call without the interpreter's lock.
 
-It wakes at absolute deadlines, takes one setpoint, steps the drives and records what it did. After
-a hold, an emergency stop, and where the next chunk is late, it plays the stop tail of the current
-chunk. So no thread of Python lies between clock and stop.
+It wakes at absolute deadlines, takes one setpoint, steps the drives and records the result. After
+a hold or an emergency stop, or if the next chunk is late, it plays the stop tail of the current
+chunk. So stopping does not depend on any Python thread.
 
-Chunks stand in a ring of descriptors with the addresses of their arrays, which ``Cycle`` keeps
-alive. A chunk is linked to the one before it once it is whole; another link lets a new plan join.
-Records of what was played stand in a second ring. Each ring has one writer and one reader.
+Chunks are described in a ring of descriptors with the addresses of their arrays, which ``Cycle``
+keeps alive. A chunk is linked to its predecessor once it is complete; another link lets a new plan
+join. Played setpoints are recorded in a second ring. Each ring has one writer and one reader.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from cnc_interp.machine_model.signals import Signal
 from cnc_interp.run.setpoints import Chunk
 
 NO_SWITCHES, NO_SIGNALS = np.zeros((0, 3)), np.zeros(0)
-KEPT = 10.0  #: Records are kept so long [s]; longer than any buffer and stop tail.
-STANDS = 0.5  #: A clock later than this stands [s]; no service waits longer for it.
+KEPT = 10.0  #: Time that records are kept [s]; longer than any buffer and stop tail.
+STANDS = 0.5  #: A clock that is later counts as stopped [s]; services wait no longer for it.
 
 
 class Records(NamedTuple):
@@ -38,19 +38,19 @@ class Records(NamedTuple):
     serial: IntArray
     row: IntArray
     events: IntArray
-    #: (K, n_axes): What the drives did [m, rad, per s].
+    #: (K, n_axes): Actual position and velocity of the drives [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
-    answered: FloatArray  #: (K, n_axes): Setpoint that it answers: of a FIFO an earlier one.
+    answered: FloatArray  #: (K, n_axes): Setpoint that they answer; with a FIFO an earlier one.
     setpoint: FloatArray  #: (K, n_axes).
-    angle: FloatArray  #: (K,): Angle of the spindle then [rev].
+    angle: FloatArray  #: (K,): Angle of the spindle at that time [rev].
 
     def part(self, first: int, last: int) -> Records:
         return Records(*(column[first:last] for column in self))  # type: ignore[arg-type]
 
 
 def speed_outputs(outputs: Sequence[Signal]) -> kernel.SpeedOutputs:
-    """Return what the cycle knows of the outputs that follow the speed of the tip."""
+    """Return the outputs that follow the speed of the tip, for the cycle."""
     found = [(k, each) for k, each in enumerate(outputs) if each.speeds]
     points = max((len(each.speeds) for _, each in found), default=1)
     rows = [
@@ -65,7 +65,7 @@ def speed_outputs(outputs: Sequence[Signal]) -> kernel.SpeedOutputs:
 
 
 class Cycle:
-    """The compiled cycle, as the threads of Python use it; bounds are those of ``Memory``."""
+    """The interface of Python threads to the compiled cycle; bounds as in ``Memory``."""
 
     def __init__(
         self,
@@ -121,10 +121,10 @@ class Cycle:
         switches: tuple[FloatArray, FloatArray] = (NO_SWITCHES, NO_SWITCHES),
         speeds: Sequence[FloatArray] = (),
     ) -> int:
-        """Write a chunk into the ring; return its unique serial number. Linked, it is played.
+        """Write a chunk into the ring and return its unique serial number; a link makes it play.
 
-        ``switches``: row, output and value, (k, 3), of the chunk and of its stop tail; ``speeds``:
-        of the tip on both, if an output follows it [m/s].
+        ``switches``: row, output and value, (k, 3), for the chunk and for its stop tail;
+        ``speeds``: speed of the tip on both, if an output follows it [m/s].
         """
         serial, descriptors = self._written, self._memory.chunks
         if self._kept and serial - self._kept[0][0] >= len(descriptors):
@@ -152,10 +152,10 @@ class Cycle:
         publish(descriptors[after % len(descriptors)], kernel.NEXT, serial)
 
     def relink(self, after: int, serial: int) -> bool:
-        """Make one chunk follow another, replacing those between; False if it is too late.
+        """Let one chunk follow another and skip those between; return False if it is too late.
 
-        The cycle reads the link when it leaves the last row of a chunk: then only its next period
-        tells which link it took. Raises StreamError if the clock stands.
+        The cycle reads the link when it leaves the last row of a chunk. In that case only its next
+        period shows which link it took. Raises StreamError if the clock has stopped.
         """
         control = self._control
         if control[kernel.SOURCE] != kernel.REST and control[kernel.SERIAL] >= after:
@@ -184,7 +184,7 @@ class Cycle:
         publish(self._control, kernel.LEAVE, 1)
 
     def mute(self, mutes: bool) -> None:
-        """Leave the outputs as they are, whatever is played, or let setpoints switch them."""
+        """Freeze the outputs while setpoints are played, or let setpoints switch them again."""
         publish(self._control, kernel.MUTE, int(mutes))
 
     def watch_limits(self, axes: Sequence[int], watched: bool) -> None:
@@ -224,11 +224,11 @@ class Cycle:
 
     @property
     def follows(self) -> bool:
-        """Return whether it moves in step with the spindle."""
+        """Whether the axes move in step with the spindle."""
         return bool(self._control[kernel.SOURCE] == kernel.FOLLOW)
 
     def has_news(self, count: int) -> bool:
-        """Say whether it has done more than to go on along its chunks by less than ``count``."""
+        """Return whether an event has occurred, or at least ``count`` setpoints were played."""
         control = self._control
         return bool(
             control[kernel.SOURCE] != kernel.CHUNK

@@ -12,63 +12,66 @@ from cnc_interp.machine import spindle as spin
 from cnc_interp.machine.realtime import note_catching_up, note_lateness
 from cnc_interp.machine.spindle import Spindle
 
-REST, CHUNK, TAIL, FOLLOW = range(4)  #: What the cycle plays; FOLLOW: the spindle's angle.
-#: What happened in a period: bits of a record.
+#: What the cycle plays; with FOLLOW, a line in step with the spindle.
+REST, CHUNK, TAIL, FOLLOW = range(4)
+#: Events of a period: bits of a record.
 STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED, PROBED, ASTRAY = (1 << k for k in range(8))
-ALARM_SHIFT = 8  #: The events of an ALARMED record have the number of the alarm above this bit.
+ALARM_SHIFT = 8  #: In the events of an ALARMED record, the number of the alarm begins at this bit.
 #: Words that Python writes and the cycle reads ...
 QUIT, LEAVE, HALT, START, FIRST, READ, FORGET, MUTE = range(8)
 #: ... and words that the cycle writes.
 HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, ALARM, WORDS = range(8, 17)
-#: Columns of a descriptor: positions, velocities and count of a chunk, its switches (row, output,
-#: value) and their count; the same of its stop tail; whether the machine rests after it; the
-#: chunk that comes next; and the speeds of the tip on both, 0 where no output follows them.
+#: Columns of a descriptor: positions, velocities and count of a chunk; its switches (row, output,
+#: value) and their count; the same for its stop tail; whether the machine rests after it; the next
+#: chunk; the speeds of the tip on chunk and tail, or 0 if no output follows them.
 POSITIONS, VELOCITIES, COUNT, SWITCHES, SWITCH_COUNT, TAIL_COLUMNS = range(6)
 RESTS, NEXT, SPEEDS, TAIL_SPEEDS, COLUMNS = range(10, 15)
-NONE = -1  #: No chunk comes next, so far.
-#: After a longer stall of the computer the clock starts anew and does not catch up [ns].
+NONE = -1  #: No next chunk yet.
+#: After a longer stall of the computer the clock restarts instead of catching up [ns].
 LONGEST_CATCH_UP = 500_000_000
-AT_LIMIT = 1000  #: Number of the alarm of the first limit switch; others follow.
-CALM = 1000  #: Steps at rest after which periods pass together.
+AT_LIMIT = 1000  #: Alarm number of the first limit switch; the others follow.
+CALM = 1000  #: Number of steps at rest after which several periods pass in one call.
 
 
 class SpeedOutputs(NamedTuple):
     """Outputs that follow the speed of the tip."""
 
-    number: IntArray  #: (k,): Which outputs.
-    only_with: IntArray  #: (k,): The outputs that must be on; -1: none.
-    table: FloatArray  #: (k, 2, P): Speeds [m/s], and shares of what is commanded [-].
+    number: IntArray  #: (k,): Numbers of these outputs.
+    only_with: IntArray  #: (k,): Output that must be on for each; -1 if none.
+    table: FloatArray  #: (k, 2, P): Speeds [m/s], and shares of the commanded value [-].
 
 
 class Memory(NamedTuple):
-    """What the cycle shares with the threads of Python."""
+    """Memory that the cycle shares with Python threads."""
 
     control: IntArray  #: (WORDS,): Commands and state.
     chunks: IntArray  #: (slots, COLUMNS): Descriptors of chunks, by ``serial % slots``.
     travel: FloatArray  #: (n_axes, 2): Smallest and largest setpoint [m, rad].
     jump: FloatArray  #: (n_axes,): Largest step between two setpoints [m, rad].
     setpoint: FloatArray  #: (2, n_axes): Commanded position and velocity [m, rad, per s].
-    #: (4, n_axes): Actual position and velocity, the setpoint that they answer, and the time by
-    #: which the drives ask to be called later; see ``drives.CycleDrives`` [m, rad, per s].
+    #: (4, n_axes): Actual position and velocity, the setpoint that they answer, and the delay that
+    #: the drives request; see ``drives.CycleDrives`` [m, rad, per s].
     feedback: FloatArray
     drives: FloatArray  #: Memory of the drives.
-    outputs: FloatArray  #: (n_outputs,): What drives get; written here, of commanded values.
-    inputs: FloatArray  #: (n_inputs,): The inputs, which the drives write.
+    #: (n_outputs,): Outputs to the drives, which the cycle derives from commanded values.
+    outputs: FloatArray
+    inputs: FloatArray  #: (n_inputs,): Inputs, written by the drives.
     probe: IntArray  #: The numbers of the output ``ARMED`` and of the input ``PROBE``; or (0,).
     spindle: Spindle
     by_speed: SpeedOutputs
     #: (m, 4): Limit switches: input, axis, side (-1 or 1), and whether it is watched.
     switches: IntArray
-    stands: FloatArray  #: (n_axes,): Where a line in step with the spindle began [m, rad].
-    records: IntArray  #: (count, 4): Source, serial, row of a period; what happened.
-    #: (count, 5, n_axes): Actual position, velocity; setpoint answered; setpoint; the angle first.
+    stands: FloatArray  #: (n_axes,): Start of a line in step with the spindle [m, rad].
+    records: IntArray  #: (count, 4): Source, serial number, row and events of a period.
+    #: (count, 5, n_axes): Actual position, velocity, setpoint answered, setpoint; in the last row
+    #: the angle of the spindle comes first.
     measured: FloatArray
     late: IntArray  #: (RECORD,): Histogram of the clock, see ``realtime.Lateness``.
 
 
 @njit(cache=True, nogil=True)
 def _choose(memory: Memory) -> int:
-    """Choose what is played in this period; return what happened."""
+    """Choose what is played in this period; return its events."""
     control, chunks = memory.control, memory.chunks
     source, serial, row = control[SOURCE], control[SERIAL], control[ROW] + 1
     events = 0
@@ -102,7 +105,7 @@ def _choose(memory: Memory) -> int:
 
 @njit(cache=True, nogil=True)
 def _take_setpoint(memory: Memory) -> bool:
-    """Make the chosen row the setpoint; False where it cannot be, then the last one is held."""
+    """Make the chosen row the setpoint; return False if it is invalid and the last one is held."""
     control, setpoint = memory.control, memory.setpoint
     descriptor, n = memory.chunks[control[SERIAL] % len(memory.chunks)], setpoint.shape[1]
     shift = TAIL_COLUMNS if control[SOURCE] == TAIL else 0
@@ -135,7 +138,7 @@ def _switch(memory: Memory) -> None:
 
 @njit(cache=True, nogil=True)
 def _begins_to_follow(memory: Memory) -> bool:
-    """Return whether what begins is a line in step with the spindle; then prepare it."""
+    """Return whether a line in step with the spindle begins, and prepare it if so."""
     spindle, control = memory.spindle, memory.control
     states = spindle.places.states
     if states < 0 or spindle.commanded[states + spin.TURNS] == 0:
@@ -149,7 +152,7 @@ def _begins_to_follow(memory: Memory) -> bool:
 
 @njit(cache=True, nogil=True)
 def _follow(memory: Memory) -> int:
-    """Make a setpoint in step with the spindle; return what happened where the line has ended."""
+    """Make a setpoint in step with the spindle; return the events at the end of the line."""
     spindle, control = memory.spindle, memory.control
     state = spindle.state[0]
     mode = state.mode
@@ -168,7 +171,7 @@ def _follow(memory: Memory) -> int:
 
 @njit(cache=True, nogil=True)
 def _probe_answers(memory: Memory) -> bool:
-    """Return whether the watched probe is as it was waited for; then it is watched no more."""
+    """Return whether the watched probe has reached the awaited state; it is then unwatched."""
     if len(memory.probe) == 0:
         return False
     armed = memory.spindle.commanded[memory.probe[0]]
@@ -181,7 +184,7 @@ def _probe_answers(memory: Memory) -> bool:
 
 @njit(cache=True, nogil=True)
 def _tip_speed(memory: Memory) -> float:
-    """Return how fast the tip moves over the workpiece by the setpoint of this period [m/s]."""
+    """Return the speed of the tip over the workpiece at the setpoint of this period [m/s]."""
     control = memory.control
     descriptor = memory.chunks[control[SERIAL] % len(memory.chunks)]
     tail = control[SOURCE] == TAIL
@@ -196,7 +199,7 @@ def _tip_speed(memory: Memory) -> float:
 
 @njit(cache=True, nogil=True)
 def _follow_speed(memory: Memory) -> None:
-    """Scale outputs by the share that belongs to the speed of the tip."""
+    """Set outputs to the share of their commanded value that the speed of the tip gives."""
     outputs, speed = memory.outputs, _tip_speed(memory)
     for k, number in enumerate(memory.by_speed.number):
         only = memory.by_speed.only_with[k]
@@ -207,7 +210,7 @@ def _follow_speed(memory: Memory) -> None:
 
 @njit(cache=True, nogil=True)
 def _limit_met(memory: Memory) -> int:
-    """Return the number of the alarm of an axis that moves on at its limit switch; 0 without."""
+    """Return the alarm number if an axis moves further into its limit switch, else 0."""
     for k in range(len(memory.switches)):
         number, axis, side, watched = memory.switches[k]
         onward = memory.setpoint[1, axis] * side > 0.0
@@ -274,9 +277,9 @@ def advance(memory: Memory, step: int) -> None:
 
 @njit(cache=True, nogil=True)
 def run_periods(memory: Memory, step: int, period: int, together: int) -> None:
-    """Advance every ``period`` [ns], shifted by drives with their own clock, until QUIT.
+    """Advance every ``period`` [ns] until QUIT; drives with their own clock may shift periods.
 
-    Calm drives are called once in ``together`` periods, but not while the spindle turns.
+    At rest, drives are called once in ``together`` periods unless the spindle turns.
     """
     control, spec = memory.control, np.zeros(2, dtype=np.int64)
     due, calm = time_now(spec), 0

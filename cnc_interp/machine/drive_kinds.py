@@ -1,4 +1,4 @@
-"""The kinds of drives, one table: what each needs to be told, and how it is made."""
+"""The table of the kinds of drives: the parameters of each, and how it is created."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from cnc_interp.machine_model.machine import Machine
 
 Values = Mapping[str, Any]
-#: Opens the topics of a controller: the parameters that name it, and the joint of each axis.
+#: Opens the topics of a controller, given the parameters that name it and the joint of each axis.
 Link = Callable[[Values, list[str]], 'Controller']
 
 
 class Declared(NamedTuple):
-    """A parameter of a node with its default and range; fixed once the node has started."""
+    """A node parameter with its default and range; it cannot change after the node has started."""
 
     name: str
     default: float | int | bool | str | list[str]
@@ -32,7 +32,7 @@ class Declared(NamedTuple):
     high: float | None = None
 
     def value_text(self, text: str) -> str:
-        """Return a word of the command line as ROS reads a parameter."""
+        """Return a word of the command line, converted as ROS converts a parameter."""
         if isinstance(self.default, list):
             return str(text.split())
         return f"'{text}'" if isinstance(self.default, str) else text
@@ -40,8 +40,8 @@ class Declared(NamedTuple):
 
 @dataclass(frozen=True)
 class DriveKind:
-    what: str  #: What the drives are, for people.
-    parameters: tuple[Declared, ...]  #: Parameters of machine_node that only such drives need.
+    what: str  #: Description of the drives for users.
+    parameters: tuple[Declared, ...]  #: Parameters of machine_node for these drives only.
     make: Callable[[Machine, float, Values, Link], Drives]
 
 
@@ -64,7 +64,7 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
 
 
 def _start(machine: Machine, height: float) -> FloatArray:
-    """Return where simulated axes stand: at 0, the tip over the part, or an arm at home."""
+    """Return the first positions of simulated axes: 0, tip above the part, or an arm's home."""
     if machine.arm is not None:
         return machine.arm.home.copy()
     position = np.zeros(len(machine.axis_names))
@@ -93,7 +93,7 @@ def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> 
 
 
 def _limits(machine: Machine, values: Values) -> FloatArray:
-    """Return the largest following error of each axis: its own, or that of all [m, rad]."""
+    """Return the largest following error of each axis: its own, or the common one [m, rad]."""
     usual = values['following_error_limit'], values['following_angle_limit']
     found = np.where(machine.is_linear, *usual)
     for axis, own in machine.following_errors.items():

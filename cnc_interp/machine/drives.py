@@ -1,8 +1,8 @@
-"""The port to the drives: what a drive must be able to do. The rest of the machine knows no more.
+"""The interface to the drives, which is all that the rest of the machine knows about them.
 
-Drives come in two kinds. ``CycleDrives`` bring a compiled step, which the cycle of the machine
-calls itself (``simulated_drives.py``, ``hal_drives.py``). ``DelayedDrives`` are told in Python
-what the cycle has played, and execute it after a delay (``trajectory_drives.py``).
+There are two kinds of drives. ``CycleDrives`` provide a compiled step, which the cycle of the
+machine calls (``simulated_drives.py``, ``hal_drives.py``). ``DelayedDrives`` receive the played
+setpoints from Python and execute them after a delay (``trajectory_drives.py``).
 """
 
 from __future__ import annotations
@@ -33,45 +33,45 @@ class AxisRows(Table):
 
 
 class AxisFeedback(NamedTuple):
-    """What the drives reported in some periods, one row each."""
+    """The reports of the drives in some periods, one row each."""
 
     #: (K, n_axes): Actual axis coordinates and velocities [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
-    answered: FloatArray  #: (K, n_axes): The command that the actual one answers [m, rad].
+    answered: FloatArray  #: (K, n_axes): Command that the actual positions answer [m, rad].
 
 
 class Drives(ABC):
-    """The drives of all axes. Setpoints were checked before against travel and limits."""
+    """The drives of all axes. Their setpoints have been checked against travel and limits."""
 
-    lag = 0.0  #: How much later than their setpoints the axes are there, about [s].
-    ahead = 0.0  #: Delay from receiving a setpoint to playing it; 0: played in its period [s].
-    #: Whether the drives themselves bring the inputs. Otherwise ``machine_inputs`` does.
+    lag = 0.0  #: Approximate lag of the axes behind their setpoints [s].
+    ahead = 0.0  #: Delay from receiving a setpoint to executing it; 0: in its own period [s].
+    #: Whether the drives provide the inputs. Otherwise the topic ``machine_inputs`` does.
     wired = False
-    calm = 0.0  #: Time between two steps of drives that have stood for long; 0: each period [s].
-    #: What the outputs of the machine file are set to: their memory, which others write.
+    calm = 0.0  #: Time between two steps after a long rest; 0: every period [s].
+    #: Values of the outputs in the machine file; others write this memory.
     outputs: FloatArray
-    inputs: FloatArray  #: The inputs of the machine file, as they were reported last.
+    inputs: FloatArray  #: Last reported values of the inputs in the machine file.
 
     @property
     @abstractmethod
     def position(self) -> FloatArray:
-        """Where the axes stand or settle at rest, also before ``switch_on`` [m, rad]."""
+        """Positions at which the axes rest or settle, also before ``switch_on`` [m, rad]."""
 
     def exchange(self, seconds: float) -> None:
-        """Take over outputs and inputs, some time after the call before."""
+        """Exchange outputs and inputs, ``seconds`` after the last call."""
 
     def switch_on(self) -> None:
-        """Switch the power on and hold the axes where they stand."""
+        """Switch the power on and hold the axes at their positions."""
 
     def switch_off(self) -> None:
         """Release the axes; the machine is at rest."""
 
     def close(self) -> None:
-        """Release the drives when the machine ends; its clock has stopped."""
+        """Release the drives when the machine ends; its clock has already stopped."""
 
     def fault(self, number: int) -> str:
-        """Say what a number of the step means, and what to do; that of an alarm without sign."""
+        """Return what a fault number means and what to do; alarms are given without their sign."""
         return f'fault {number}'
 
 
@@ -81,14 +81,14 @@ class CycleDrives(Drives):
     The step is a C function ``int64 step(double *memory, const double *setpoint, double *feedback,
     int64 n_axes)``, made by ``numba.cfunc`` or by any other compiler. ``setpoint`` holds n_axes
     positions, then n_axes velocities, at the end of the period; at rest the velocities are 0.
-    ``feedback`` takes the actual ones in the same layout. Two rows follow for drives that answer
-    later, because of a FIFO: the setpoint that the positions answer (before the call:
-    ``setpoint``); then the time by which the next period shall begin later [s], and how many times
-    more than once the drives will play this setpoint, at rest alone (before: 0).
+    ``feedback`` receives the actual values in the same layout. Two rows follow for drives that
+    answer later because of a FIFO. The first is the setpoint that the positions answer (preset to
+    ``setpoint``). The second holds the delay of the next period [s], and how many extra times the
+    drives will play this setpoint, which is allowed only at rest (preset to 0).
 
-    It returns 0, or the number of a fault; then the machine is told no further setpoints and the
-    last one is held. The number of an alarm, less than 0, stops the machine on its path: the stop
-    tail is played to its end. Then the drives are switched off, until the operator's reset.
+    The step returns 0, or the number of a fault; no setpoints are then sent and the last one is
+    held. A negative number is an alarm and stops the machine on its path: the stop tail is played
+    to its end. Then the drives are switched off until the operator's reset.
     """
 
     step: int  #: Address of the step.
@@ -96,27 +96,27 @@ class CycleDrives(Drives):
 
 
 class HomedDrives(CycleDrives):
-    """Drives that know where their axes are only after these have found reference switches."""
+    """Drives whose axes must be homed at reference switches before their positions are known."""
 
     @property
     @abstractmethod
     def released(self) -> FloatArray:
-        """Where each axis was when its watched input went off, an index exactly [m, rad]."""
+        """Position of each axis when its watched input went off; exact for an index [m, rad]."""
 
     @abstractmethod
     def watch(self, axis: int, number: int) -> None:
-        """Watch an input for an axis; until it goes off, ``released`` is NaN."""
+        """Watch an input for an axis; ``released`` is NaN until the input goes off."""
 
     @abstractmethod
     def shift(self, by: FloatArray) -> None:
-        """Add to the positions of the axes, which rest and stay where they are [m, rad]."""
+        """Renumber the axes: add ``by`` [m, rad] to their positions. Nothing moves."""
 
 
 class DelayedDrives(Drives):
-    """Drives that Python feeds with what the cycle played; unheard, they rest on the path."""
+    """Drives that Python feeds with played setpoints; without news they stop on the path."""
 
     alarm = ''  #: Why the machine must stop on its path; empty if all is well.
 
     @abstractmethod
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
-        """Take the setpoints of some periods, and report what the axes did meanwhile."""
+        """Take the setpoints of some periods, and report the motion of the axes meanwhile."""

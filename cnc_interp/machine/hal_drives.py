@@ -1,4 +1,4 @@
-"""Drives in LinuxCNC's HAL (``docs/linuxcnc_machine.md``): FIFO out, samples of the drives in."""
+"""Drives in LinuxCNC's HAL (``docs/linuxcnc_machine.md``): setpoints go out through a FIFO."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import home_input, index_signals
 
 LIBRARY = 'liblinuxcnchal.so.0'
-#: Keys of the shared memory of HAL itself, of the first streamer and of the first sampler.
+#: Shared memory keys of HAL, of the first streamer and of the first sampler.
 HAL_KEY, STREAMER_KEY, SAMPLER_KEY = 0x48414C32, 0x48535430, 0x48534130
-TYPES = {1: 'b', 2: 'f', 3: 's', 4: 'u'}  #: Letters of columns by HAL's types.
+TYPES = {1: 'b', 2: 'f', 3: 's', 4: 'u'}  #: Column letters of HAL's types.
 PATIENCE = 10.0  #: Longest wait for ``halcmd`` [s].
 
 
 class _Stream(ctypes.Structure):
-    """A stream as one of its users knows it: component, id of the shared memory, its address."""
+    """A stream as seen by one user: component, id of the shared memory, and its address."""
 
     _fields_ = [('component', ctypes.c_int), ('memory', ctypes.c_int), ('fifo', ctypes.c_void_p)]
 
@@ -73,7 +73,7 @@ class HalStream:
 
 
 class HalSession:
-    """The running session of HAL, as a component of it that has no pins."""
+    """The running HAL session, joined as a component without pins."""
 
     def __init__(self) -> None:
         try:
@@ -105,7 +105,7 @@ class HalSession:
 
 
 def shared_memories() -> dict[int, int]:
-    """Return the shared memories that a process has open: user by key."""
+    """Return the shared memories that a process has open: the user of each key."""
     rows = Path('/proc/sysvipc/shm').read_text(encoding='ascii').splitlines()
     names, *values = (row.split() for row in rows)
     found = [dict(zip(names, map(int, row), strict=True)) for row in values]
@@ -113,7 +113,7 @@ def shared_memories() -> dict[int, int]:
 
 
 def thread_period(functions: tuple[str, ...]) -> float:
-    """Return the period of the thread of HAL that calls all these functions [s]."""
+    """Return the period of the HAL thread that calls all these functions [s]."""
     halcmd = shutil.which('halcmd')
     if halcmd is None:
         raise DriveFaultError('halcmd is not found; install LinuxCNC (Debian: linuxcnc-uspace)')
@@ -137,7 +137,8 @@ def thread_period(functions: tuple[str, ...]) -> float:
     )
 
 
-PERIOD_SLACK = 0.01  #: HAL's period may differ by so much from the interpolation period [-].
+#: Largest relative difference of HAL's period from the interpolation period [-].
+PERIOD_SLACK = 0.01
 POWER_UP = 5.0  #: Longest wait for HAL and for the power of the drives [s].
 
 CAUSES = {
@@ -157,13 +158,13 @@ CAUSES = {
 class HalDrives(HomedDrives):
     """Drives that a running session of HAL moves; see ``drives.CycleDrives``.
 
-    ``depth``: setpoints that wait in HAL's FIFO; ``limits``: largest following error of each axis
-    [m, rad]. Raises DriveFaultError if no session runs, the wiring is wrong, or HAL's
-    thread stands or has another period.
+    ``depth``: number of setpoints that wait in HAL's FIFO; ``limits``: largest following error of
+    each axis [m, rad]. Raises DriveFaultError if no session runs, if the wiring is wrong, or if
+    HAL's thread has stopped or has another period.
     """
 
     wired = True
-    lag = 0.02  #: What drives with a following error of about that lag by [s].
+    lag = 0.02  #: Typical lag of drives with a following error [s].
 
     def __init__(self, machine: Machine, period: float, depth: int, limits: FloatArray):
         self._names, self.ahead = machine.axis_names, (depth + hal_step.LATER) * period
@@ -248,13 +249,13 @@ class HalDrives(HomedDrives):
         words[hal_step.PERIOD] = round(period * 1e9)
 
     def _await_answer(self) -> None:
-        """Step until HAL has answered; the clock of the machine does not run yet."""
+        """Step until HAL has answered; the machine's clock is not running yet."""
         self._step_until(hal_step.COUNTED, 1)
         if not self._block.words[hal_step.COUNTED]:
             raise DriveFaultError("HAL's thread does not run; start it: halcmd start")
 
     def _assume_inside(self, machine: Machine) -> None:
-        """Count axes that will be homed from within their travel, wherever HAL has them."""
+        """Give axes that will be homed a position within their travel, whatever HAL reports."""
         block, inside = self._block, np.clip(self._block.actual[1], *machine.travel.T)
         block.shift[:] = np.where(block.home >= 0, inside - block.actual[1], 0.0)
         hal_step.shift_axes(block)
@@ -278,7 +279,7 @@ class HalDrives(HomedDrives):
             raise DriveFaultError(CAUSES[hal_step.STOPPED])
 
     def _step_until(self, word: int, value: int) -> None:
-        """Pass periods while the clock does not run, until a word has a value."""
+        """Run periods, while the clock does not, until a word of the memory has a value."""
         n, memory = len(self._names), self.memory.ctypes.data
         setpoint, feedback = np.zeros((2, n)), np.zeros((4, n))
 
@@ -294,7 +295,7 @@ class HalDrives(HomedDrives):
         return (self._block.held if held else self._block.actual[1]).copy()
 
     def switch_on(self) -> None:
-        """Request power and wait until the drives confirm it; the clock of the machine runs."""
+        """Request power and wait until the drives confirm it; the machine's clock is running."""
         words = self._block.words
         self._wait(lambda: bool(words[hal_step.POWER_BEFORE] == hal_step.OFF))
         publish(words, hal_step.POWER, hal_step.HOLD)
@@ -310,7 +311,7 @@ class HalDrives(HomedDrives):
             time.sleep(1e-9 * self._block.words[hal_step.PERIOD])
 
     def switch_off(self) -> None:
-        """Take the power away, as soon as HAL has played the last setpoint."""
+        """Switch the power off as soon as HAL has played the last setpoint."""
         publish(self._block.words, hal_step.POWER, hal_step.OFF)
 
     def close(self) -> None:
@@ -324,7 +325,7 @@ class HalDrives(HomedDrives):
         self._session.end()
 
     def fault(self, number: int) -> str:
-        """Say what the number of a fault or an alarm means, and what to do."""
+        """Return what the number of a fault or an alarm means, and what to do."""
         if number >= hal_step.AMPLIFIER:
             return f'{self._names[number - hal_step.AMPLIFIER]}: the amplifier reports a fault'
         if number >= hal_step.BEHIND:

@@ -1,4 +1,4 @@
-"""Pins of LinuxCNC's HAL at which outputs and inputs of a machine are."""
+"""Pins of LinuxCNC's HAL for the outputs and inputs of a machine."""
 
 import math
 
@@ -7,15 +7,15 @@ from cnc_interp.machine_model.signals import LOST_MACHINE, Signals
 
 NO_SIGNALS = Signals()
 STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
-MOST = 21  #: Columns of a stream of HAL.
-BITS = 16  #: In a column: as many as ``weighted_sum`` of HAL adds up.
-POWER = 'cnc-power'  #: The signal that takes the place of those that power each joint.
+MOST = 21  #: Largest number of columns of a HAL stream.
+BITS = 16  #: Bits per column: as many as HAL's ``weighted_sum`` adds up.
+POWER = 'cnc-power'  #: Signal that replaces the power signals of the joints.
 
 
 def columns_of(n: int, signals: Signals) -> tuple[str, str]:
-    """Return the columns of ``streamer`` and ``sampler`` for n axes, as their cfg names them.
+    """Return the columns of ``streamer`` and ``sampler`` for n axes, in the form of their cfg.
 
-    InterpError where HAL has fewer.
+    Raises InterpError if HAL has fewer columns.
     """
     found = []
     for what, declared, bits, letter in (
@@ -34,20 +34,20 @@ def columns_of(n: int, signals: Signals) -> tuple[str, str]:
 
 
 def sent(bit: int) -> str:
-    """Return the pin of a bit of ``streamer``: power, then those of ``signals``."""
+    """Return the pin of a bit of ``streamer``: power, then the outputs of ``signals``."""
     return f'bits-{bit // BITS}.out-{bit % BITS:02d}'
 
 
 def seen(bit: int) -> str:
-    """Return the pin of a bit of ``sampler``: faults, power, empty, then those of ``signals``."""
+    """Return the pin of a bit of ``sampler``: faults, power, empty, then the inputs."""
     return f'wsum.{bit // BITS}.bit.{bit % BITS}.in'
 
 
 def pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
     """Return the pins of outputs and inputs by name.
 
-    Numbers have columns after the velocities. What the end of the machine node switches off comes
-    through a gate.
+    Numbers have columns after the velocities. Outputs that are switched off when the machine node
+    ends pass through a gate.
     """
     outputs, inputs = raw_pins_of(n, signals)
     return outputs | {name: f'{gate}.out' for name, gate, _ in gates(signals)}, inputs
@@ -71,7 +71,7 @@ def gate_lines(n: int, signals: Signals) -> list[str]:
 
 
 def raw_pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the pins as ``pins_of``, but before the gates."""
+    """Return the pins as ``pins_of`` does, but before the gates."""
     outputs, inputs = dict[str, str](), dict[str, str]()
     for pins, declared, name, bit, pin in (
         (outputs, signals.wires, STREAMER, 1, sent),

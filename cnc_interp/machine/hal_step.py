@@ -1,9 +1,9 @@
-"""One period of drives in LinuxCNC's HAL, compiled: a row into the stream, samples out of it.
+"""One compiled period of drives in LinuxCNC's HAL: write a row to the FIFO and read samples.
 
-``streamer`` takes one row a period from a FIFO, ``sampler`` puts a row of pins into another one.
-Rows are counted on both sides, so each sample is compared with the very row that HAL has played.
-The number of rows in the FIFO tells how fast HAL's clock runs. In motion the clock of the machine
-is shifted a little until the wanted number waits; at rest a row is repeated or left out.
+``streamer`` takes one row per period from a FIFO, and ``sampler`` writes a row of pins to another
+one. Rows are counted on both sides, so each sample is compared with the row that HAL played.
+The number of rows in the FIFO shows how fast HAL's clock runs. In motion the clock of the machine
+is shifted slightly until the wanted number waits; at rest a row is repeated or left out.
 """
 
 from typing import NamedTuple
@@ -18,38 +18,39 @@ from cnc_interp.machine.hal_pins import BITS
 
 #: Words of the memory: addresses of HAL's functions and streams, ...
 WRITE, READ, DEPTH, OVERRUNS, STREAM, SAMPLES = range(6)
-#: ... what Python writes: wanted rows in the FIFO, period [ns], power; ...
+#: ... words that Python writes: wanted rows in the FIFO, period [ns], power; ...
 WANTED, PERIOD, POWER = range(6, 9)
-#: ... and what the step writes: whether rows are counted, rows pushed and played, power before
-#: and as the drives confirm it, the alarm, underruns in motion, fewest rows in the FIFO in motion,
-#: periods with too many (> 0) or too few rows at rest, time since the last sample [ns], samples
-#: lost before the count, whether there was a sample at all, whether one confirmed the power, the
-#: time at which samples were looked for last [ns], and the memory of a ``timespec``.
+#: ... and words that the step writes: whether rows are counted, rows pushed and played, power
+#: before and as the drives confirm it, the alarm, underruns in motion, fewest rows in the FIFO in
+#: motion, periods with too many (> 0) or too few rows at rest, time since the last sample [ns],
+#: samples lost before the count, whether there was a sample at all, whether one confirmed the
+#: power, the time at which samples were looked for last [ns], and the memory of a ``timespec``.
 COUNTED, PUSHED, PLAYED, POWER_BEFORE, POWERED, ALARM, UNDERRUNS = range(9, 16)
 LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, LOOKED, TIME = range(16, 24)
-#: 1 while the next step shall count the axes from elsewhere; the step sets it back.
+#: 1 to make the next step renumber the axes; the step resets it.
 SHIFT_ASKED = 25
 #: Numbers of outputs and inputs, which Python writes before all others, and the input of ``ANGLE``
 #: or -1.
 OUTPUTS, INPUTS, TURNS, WORDS = 26, 27, 28, 29
-#: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
+#: Power: off; axes held in place; following setpoints; on until HAL has played the last setpoint.
 OFF, HOLD, FOLLOW, LEAVE = 0, 1, 2, 3
-KEPT = 8192  #: Rows that are kept for comparison; more than wait between push and sample.
+KEPT = 8192  #: Rows kept for comparison; more than are ever in transit from push to sample.
 #: Columns of a kept row after setpoints and values of HAL: power is on, axes move; and the angle
 #: of the spindle in its sample.
 FLAGS, ANGLE = 2, 3
-LATER = 2  #: The angle is that of a row so many rows before the last one that is surely played.
+LATER = 2  #: The angle belongs to a row this many rows before the last row surely played.
 #: Numbers of alarms, of faults, and of alarms of an axis, to which its number is added.
 SWITCHED_OFF, EMPTY, CHANGED, UNSEEN = 1, 2, 3, 4
 FULL, STOPPED = 11, 12
 BEHIND, AMPLIFIER = 100, 200
-LONGEST_SILENCE = 500_000_000  #: Without a sample for so long HAL's thread counts as stopped [ns].
-#: Shift of the clock for each row too many or too few, and at most [periods].
+#: HAL's thread counts as stopped after this time without a sample [ns].
+LONGEST_SILENCE = 500_000_000
+#: Shift of the clock per row too many or too few, and largest shift [periods].
 SHIFT, LARGEST_SHIFT = 2e-4, 1e-3
-#: Without power a row follows the axes by this share of its distance, over the rows in the FIFO.
-#: More would let a move of axes that follow without power go round through the FIFO for ever.
+#: Without power, rows follow the axes: each by this share of its distance, divided by the rows in
+#: the FIFO. With a larger share, a move of unpowered axes would circulate in the FIFO for ever.
 FOLLOWS = 0.1
-PATIENCE = 20  #: Periods at rest with too many or few rows, before one more or less.
+PATIENCE = 20  #: Periods at rest with a wrong number of rows before a row is added or left out.
 
 
 class Block(NamedTuple):
@@ -58,12 +59,12 @@ class Block(NamedTuple):
     words: IntArray  #: (WORDS,): Addresses and counts.
     units: FloatArray  #: (n,): HAL's unit of each axis [m or rad].
     limits: FloatArray  #: (n,): Largest following error [m, rad].
-    held: FloatArray  #: (n,): Where the axes are held after the power came [m, rad].
+    held: FloatArray  #: (n,): Positions at which the axes are held after power-on [m, rad].
     actual: FloatArray  #: (2, n): Position in the last two samples [m, rad].
-    offset: FloatArray  #: (n,): Position where HAL's is 0 [m, rad].
-    shift: FloatArray  #: (n,): What the next shift adds to positions and offset [m, rad].
-    home: FloatArray  #: (n,): Number of the input that is watched for each axis; -1: none.
-    released: FloatArray  #: (n,): Where each axis was when that input went off last [m, rad].
+    offset: FloatArray  #: (n,): Position of the axes at HAL's zero [m, rad].
+    shift: FloatArray  #: (n,): Value that the next shift adds to positions and offset [m, rad].
+    home: FloatArray  #: (n,): Number of the input watched for each axis; -1 if none.
+    released: FloatArray  #: (n,): Position of each axis when that input last went off [m, rad].
     #: (KEPT, 2n + ANGLE): Pushed rows: setpoint [m, rad], in HAL's units, flags, angle.
     kept: FloatArray
     #: (2n + 1 + m,): A row of the stream: positions, velocities, outputs that are numbers; then
@@ -72,8 +73,8 @@ class Block(NamedTuple):
     #: (3n + 2 + k,): A row of the sampler: positions commanded and actual, inputs that are
     #: numbers; then bits: amplifier faults, power is on, FIFO was empty, other inputs.
     sample: FloatArray
-    number: FloatArray  #: (1,): Where HAL writes the number of the sample.
-    outputs: FloatArray  #: (m,): What the outputs are set to.
+    number: FloatArray  #: (1,): Number of the sample, written by HAL.
+    outputs: FloatArray  #: (m,): Values of the outputs.
     #: (m + k,): Whether an output or an input is a number; otherwise it is a bit.
     is_number: FloatArray
     inputs: FloatArray  #: (k,): The inputs in the last sample.
@@ -202,10 +203,10 @@ def _judge(block: Block) -> int:
 
 @njit(cache=True, nogil=True)
 def _tell_angle(block: Block) -> None:
-    """Return the angle by rows, uniform in time however the samples arrive.
+    """Set the angle by row numbers, so that it is uniform in time however samples arrive.
 
-    NaN if the row has not been sampled yet, because HAL's thread is late: two samples would show
-    its speed to a step of the encoder only.
+    It is NaN if the row has not been sampled yet because HAL's thread is late. Extrapolation from
+    two samples would know the speed only to one step of the encoder.
     """
     words, angle = block.words, block.kept[:, 2 * len(block.units) + FLAGS]
     last, at = words[PLAYED] - 1, words[PUSHED] - words[WANTED] - LATER
@@ -215,7 +216,7 @@ def _tell_angle(block: Block) -> None:
 
 @njit(cache=True, nogil=True)
 def _read_samples(block: Block) -> int:
-    """Read what HAL has sampled; return the number of the first alarm, or 0."""
+    """Read the samples of HAL; return the number of the first alarm, or 0."""
     words, alarm = block.words, 0
     now = time_now(words[TIME:])
     # Steps that catch up follow each other at once; a step that came late saw nothing meanwhile.
@@ -237,7 +238,7 @@ def _read_samples(block: Block) -> int:
 
 @njit(cache=True, nogil=True)
 def _begin_count(block: Block) -> bool:
-    """Begin to count rows, where the FIFO is empty and HAL has seen that."""
+    """Begin to count rows once the FIFO is empty and HAL has reported it."""
     words, n = block.words, len(block.units)
     drained = _call(words, DEPTH, STREAM) == 0
     _read_samples(block)
@@ -252,7 +253,7 @@ def _begin_count(block: Block) -> bool:
 
 @njit(cache=True, nogil=True)
 def shift_axes(block: Block) -> None:
-    """Count the axes from elsewhere, at rest: what HAL is sent stays, and they are held there."""
+    """Renumber the axes at rest; the values sent to HAL stay the same, so nothing moves."""
     words, n = block.words, len(block.units)
     block.offset[:] += block.shift
     for k in range(2):
@@ -267,7 +268,7 @@ def shift_axes(block: Block) -> None:
 
 @njit(cache=True, nogil=True)
 def _rows_to_push(words: IntArray, waiting: int, moves: bool) -> int:
-    """Return how many times the row is pushed: once, or to have the wanted rows at rest."""
+    """Return how many times the row is pushed: once, or at rest as often as rows are missing."""
     excess = waiting + 1 - words[WANTED]
     if moves:
         words[LEAST] = min(words[LEAST], waiting)
@@ -284,7 +285,7 @@ def _rows_to_push(words: IntArray, waiting: int, moves: bool) -> int:
 
 @njit(cache=True, nogil=True)
 def _power(block: Block, setpoint: FloatArray) -> int:
-    """Return the power of this row; HOLD becomes FOLLOW, and LEAVE lasts until all is played."""
+    """Return the power of this row; HOLD becomes FOLLOW; LEAVE lasts until all is played."""
     words, n = block.words, len(block.units)
     power, before = words[POWER], words[POWER_BEFORE]
     if power == OFF and before != OFF and words[SILENT] < LONGEST_SILENCE:
@@ -303,7 +304,7 @@ def _power(block: Block, setpoint: FloatArray) -> int:
 
 @cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
 def step_hal(memory: int, setpoint: int, feedback: int, n: int) -> int:
-    """Send one setpoint to HAL and take what it has sampled; see ``drives.CycleDrives``."""
+    """Send one setpoint to HAL and read its samples; see ``drives.CycleDrives``."""
     block = block_at(memory, n)
     told, words = carray(pointer(feedback), (4, n)), block.words
     asked, rate = carray(pointer(setpoint), (2, n))[0], carray(pointer(setpoint), (2, n))[1]

@@ -1,4 +1,4 @@
-"""Homing: axes move to their switches, slowly back until these release, and on to an index."""
+"""Homing: axes move to their switches, then slowly back until release, and on to an index."""
 
 from collections.abc import Sequence
 from enum import Enum
@@ -14,7 +14,7 @@ from cnc_interp.machine_model.signals import home_input, index_signals, square_o
 from cnc_interp.run.run_state import Reason, State
 
 SEARCH, BACK = 0.1, 0.01  #: Shares of the velocity limits towards the switch and back from it [-].
-AT_END = 1e-6  #: Nearer than this to its end of travel, an axis has not found its switch [m, rad].
+AT_END = 1e-6  #: An axis this near to its end of travel has missed its switch [m, rad].
 
 
 class AxisHoming(Enum):
@@ -32,7 +32,7 @@ MISSED = {
 
 
 class SimulatedSwitches:
-    """Reference switches that are pressed from a position to the nearer end of the travel."""
+    """Simulated reference switches, pressed from a position to the nearer end of travel."""
 
     def __init__(self, machine: Machine):
         names, given = machine.axis_names, machine.homing
@@ -58,9 +58,9 @@ class SimulatedSwitches:
 
 
 class WiredSwitches(SimulatedSwitches):
-    """Switches on the inputs ``home_x`` ...; axes count anew from their release, or their index.
+    """Switches on the inputs ``home_x`` ...; their release, or an index, defines the position.
 
-    Until then an axis counts from an end of its travel, so that it may move all its way.
+    Until then the axis is assumed to be at an end of its travel, so that it may move all the way.
     """
 
     def __init__(self, playback: Playback, drives: HomedDrives):
@@ -151,13 +151,13 @@ class Homing:
         return sorted(self._unknown, key=self._names.index) if self._required else []
 
     def forget(self) -> None:
-        """Count all axes with a switch as not homed, as after the drives were off."""
+        """Mark all axes with a switch as not homed, as after the drives were off."""
         self._unknown = set(self._machine.homing.switches)
         self._watch_limits(True)
         self._groups, self._stages = [], {}
 
     def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:
-        """Begin to home axes, all where none is named; return which, or raise StreamError."""
+        """Begin to home axes, by default all; return which, or raise StreamError."""
         given = self._machine.homing
         for name in axes:
             if name not in given.switches:

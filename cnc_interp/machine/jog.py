@@ -1,4 +1,4 @@
-"""Motion by hand: beats ask for velocities, moves for targets; both become pieces with stops."""
+"""Motion by hand: beats request velocities and moves request targets; both become pieces."""
 
 import math
 from collections.abc import Mapping
@@ -16,10 +16,10 @@ from cnc_interp.run.clearance_stage import Foresight
 from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Chunk
 
-LATE = 0.2  #: The motion stops where no beat has come for this time [s].
-GIVEN_UP = 3.0  #: A key that no beat names for longer was given up [s].
+LATE = 0.2  #: The motion stops if no beat arrives for this time [s].
+GIVEN_UP = 3.0  #: A key without a beat for this time is forgotten [s].
 AHEAD, PIECE = 0.05, 0.01  #: Motion handed to the machine ahead of time, and in one piece [s].
-JOG = 'jog'  #: Name of motions by hand in the record; their attempts count them.
+JOG = 'jog'  #: Program id of motions by hand in the record; ``attempt`` counts them.
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Beat:
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Coordinates to go to, shape (m,) [m, rad], and the share of the velocity limits [-]."""
+    """Target coordinates, shape (m,) [m, rad], and the share of the velocity limits [-]."""
 
     slides: Slides
     target: FloatArray
@@ -57,7 +57,7 @@ class Jog:
 
     @property
     def target(self) -> FloatArray:
-        """Axis positions at the end of the move under way, else where a motion begins [m, rad]."""
+        """Axis positions at the end of the current move, else at its beginning [m, rad]."""
         if isinstance(self._wish, Move):
             return self._wish.slides.positions(self._wish.target[None, :])[0]
         return self._before[-1]
@@ -65,9 +65,9 @@ class Jog:
     # What the operator asks for -----------------------------------------------------------------
 
     def beat(self, shares: Mapping[str, float], tool: float, now: float) -> float:
-        """Take a beat at a time of any steady clock; raise StreamError if it cannot be followed.
+        """Take a beat received at a steady time; raise StreamError if it cannot be followed.
 
-        ``shares``: velocity of each axis over its limit, -1 to 1; ``tool``: the same along the
+        ``shares``: velocity of each axis over its limit, -1 to 1; ``tool``: likewise along the
         tool.
         """
         wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
@@ -96,10 +96,10 @@ class Jog:
     def move(
         self, values: Mapping[str, float], relative: bool, tool: float, speed: float
     ) -> FloatArray:
-        """Take a move; return where the axes will rest, (n_axes,) [m, rad], or raise StreamError.
+        """Take a move; return its end positions, (n_axes,) [m, rad], or raise StreamError.
 
-        ``values``: position of each axis that moves, or if ``relative`` its distance from the
-        target of the move under way, else from where it stands; ``tool``: distance along the tool
+        ``values``: target position of each moving axis. If ``relative``, its distance from the
+        target of the current move, or from the present position. ``tool``: distance along the tool
         [m]; ``speed``: share of the velocity limits; 0 means 1 [-].
         """
         wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)
@@ -157,7 +157,7 @@ class Jog:
     # What the machine does ----------------------------------------------------------------------
 
     def work(self, now: float, override: float) -> None:
-        """Hand out what the machine needs next; StreamError without a motion, then it rests."""
+        """Send the machine its next setpoints; StreamError says why a motion has been stopped."""
         playback, state, self._override = self._playback, self._playback.state, override
         before, self._seen = self._seen, state
         if state is not before:
@@ -216,7 +216,7 @@ class Jog:
             self._wish = None
 
     def _piece(self, motion: JogMotion) -> Chunk:
-        """Return the next setpoints, checked as those of a program are."""
+        """Return the next setpoints, checked like those of a program."""
         chunk = motion.piece(self._setpoints(PIECE))
         rows = np.concatenate([chunk.samples.position, chunk.tail.position])
         refuse_setpoints(self._machine, self._period, self._before, rows)
@@ -224,7 +224,7 @@ class Jog:
 
     @property
     def _before(self) -> FloatArray:
-        """The last three setpoints before those that come next, (3, n_axes) [m, rad]."""
+        """The last three setpoints before the next ones, (3, n_axes) [m, rad]."""
         playback = self._playback
         if playback.state.by_hand:
             return playback.plans.buffer.newest

@@ -1,10 +1,10 @@
 """Motion by hand: any number of axes, with a velocity or to a target, from any state of motion.
 
-ruckig (Berscheid and Kroeger, 2021) gives the fastest motion within velocity, acceleration and
-jerk limits. The setpoints are samples of it, so their differences keep the limits, too. A velocity
-towards an end of travel is a motion to that end. A piece is handed out only if it, and the stop
-after it, stay within the travel and hit no body of the scene, if there is one. Otherwise the
-motion stops before it, as the piece before can.
+ruckig (Berscheid and Kroeger, 2021) computes the fastest motion within velocity, acceleration and
+jerk limits. The setpoints are samples of it, so their differences keep the limits too. A velocity
+towards an end of travel is a motion to that end. A piece is sent only if it, and the stop after
+it, stay within the travel and hit no body of the scene. Otherwise the motion stops with the stop
+of the preceding piece.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from cnc_interp.machine.slides import THERE, Slides
 from cnc_interp.run.clearance_stage import ContactError, Foresight
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
-LEAST_SHARE = 1e-3  #: A smaller share of a velocity limit is no motion, to bound its time.
-HORIZON = 10.0  #: A motion with a velocity is planned for this time, again after half [s].
+#: A smaller share of a velocity limit counts as rest, which bounds the time [-].
+LEAST_SHARE = 1e-3
+#: A motion with a velocity is planned for this time, and again after half of it [s].
+HORIZON = 10.0
 #: ruckig finds no motion where two of its profiles meet within rounding, as at a distance of
 #: 2 A^3 / J^2, where the acceleration just reaches its limit. A lower jerk moves that seam.
 SEAMS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
@@ -41,7 +43,7 @@ class JogMotion:
     ):
         self.slides, self._period = slides, period
         self._contact = contact
-        self.blocked: ContactError | None = None  #: What the motion stops before.
+        self.blocked: ContactError | None = None  #: Contact before which the motion stops.
         self._solver = ruckig.Ruckig(len(x))
         #: Position, velocity and acceleration at the last setpoint handed out, shape (3, m).
         self._state = np.stack([x, np.zeros_like(x), np.zeros_like(x)])
@@ -56,16 +58,16 @@ class JogMotion:
 
     @property
     def over(self) -> bool:
-        """Return whether all setpoints are handed out; the last one is at rest."""
+        """Whether all setpoints have been sent; the last one is at rest."""
         return self._next >= self._last
 
     def stop(self) -> None:
-        """Come to rest as fast as the limits allow, each slide for itself."""
+        """Stop each slide as fast as its limits allow."""
         self._velocity = None
         self._follow(self._stop(self._state), rests=True)
 
     def run(self, velocity: FloatArray) -> None:
-        """Move with a velocity until further notice; come to rest at an end of the travel."""
+        """Move with a velocity until another command; stop at an end of the travel."""
         self._velocity = velocity
         largest, acceleration, jerk = self.slides.limits.by_order
         x, v, a = self._state
@@ -90,7 +92,7 @@ class JogMotion:
         self._follow(self._solve(self._state, most, target, TOGETHER), rests=True)
 
     def piece(self, count: int) -> Chunk:
-        """Hand out the next setpoints with the stop after them."""
+        """Return the next setpoints, with the stop after them."""
         if self._velocity is not None and self._next * self._period > 0.5 * HORIZON:
             self.run(self._velocity)
         rows, tail = self._next_rows(count)
@@ -114,7 +116,7 @@ class JogMotion:
     def _solve(
         self, state: FloatArray, velocity: FloatArray, target: FloatArray, together: object
     ) -> ruckig.Trajectory:
-        """Find the motion with ruckig to targets, or to velocities where the target is NaN."""
+        """Find the motion to targets with ruckig; slides with target NaN reach a velocity."""
         largest, acceleration, jerk = self.slides.limits.by_order
         aims = np.isfinite(target)
         wanted = ruckig.InputParameter(len(target))

@@ -1,7 +1,7 @@
-"""Plans that the machine has received: the chunk that is played, those that wait, what may join.
+"""Plans received by the machine: the current chunk, waiting chunks, and rules for joining.
 
-A plan may replace the setpoints of another one from a number on, as long as none of them is
-played: its first chunk is linked to the chunk before them, which is cut there if need be.
+A plan may replace the setpoints of another plan from a given number on, as long as none of them
+has been played. Its first chunk is linked to the chunk before them, which is cut if necessary.
 """
 
 from dataclasses import replace
@@ -18,11 +18,12 @@ from cnc_interp.machine_model.signals import Signals
 from cnc_interp.run.run_state import NO_RUN, RunId, RunState, State
 from cnc_interp.run.setpoints import Chunk, Setpoints
 
-ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
+#: Largest distance of a plan's start from the machine's position at rest [m, rad].
+ELSEWHERE = 1e-8
 
 
 class PlanQueue:
-    """The setpoints of the plans of a run, and how far they are played."""
+    """The setpoints of the plans of a run, and how far they have been played."""
 
     def __init__(self, cycle: Cycle, axes: AxisMotion, signals: Signals):
         self._cycle, self._axes, self._signals = cycle, axes, signals
@@ -33,29 +34,30 @@ class PlanQueue:
     def begin(self, run_id: RunId) -> None:
         """Begin a run."""
         self.played = 0  # setpoints of the run
-        #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
+        #: Positions at which the run continues after the axes were moved away in a hold; else
+        #: empty [m, rad].
         self.away: FloatArray = np.zeros(0)
         self.begin_plan(run_id)
 
     def begin_plan(self, run_id: RunId) -> None:
-        """Begin another plan of the run where the machine rests."""
+        """Begin another plan of the run at the positions where the machine rests."""
         self.empty()
         self.run_id, self.played_of_plan = run_id, 0
 
     def empty(self) -> None:
         """Drop all setpoints; the axes rest."""
         self.buffer.clear(self._axes.setpoints[-1])
-        #: The chunk that is being played, or whose tail is; and the row of it played last.
+        #: Chunk that is being played, itself or its stop tail; and its last played row.
         self.current: BufferedChunk | None = None
         self.on_tail, self.row = False, -1
 
     def take(self, serial: int) -> None:
-        """Continue with the chunk that has a serial number."""
+        """Advance to the chunk with a serial number."""
         while self.current is None or self.current.serial < serial:
             self.current, self.row = self.buffer.pop(), -1
 
     def take_tail(self) -> None:
-        """Continue with the stop tail of the current chunk, dropping what would have followed."""
+        """Advance to the stop tail of the current chunk, and drop the chunks after it."""
         current = self.current
         self.empty()
         self.current, self.on_tail = current, True
@@ -79,7 +81,7 @@ class PlanQueue:
     # What may come -------------------------------------------------------------------------------
 
     def make_room(self, run_id: RunId, state: RunState) -> None:
-        """Refuse a plan that cannot begin now (StreamError), else drop what waits."""
+        """Drop the waiting setpoints for a new plan; StreamError if it cannot begin now."""
         mine = self.run_id
         if not state.resting:
             raise StreamError(
@@ -106,14 +108,14 @@ class PlanQueue:
         self.buffer.clear(self._axes.setpoints[-1])
 
     def is_left(self, state: RunState) -> bool:
-        """Say whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
+        """Return whether a stop tail has replaced the plan; its other setpoints are ignored."""
         return self.on_tail or state.plan_over
 
     def is_void(self, run_id: RunId, begins: FloatArray | None, state: RunState) -> bool:
-        """Return whether setpoints are not needed, because the machine has left their plan.
+        """Return whether setpoints are void because the machine has left their plan.
 
-        The machine has also left a plan whose first setpoint, ``begins``, is not where the axes
-        are after they were moved by hand.
+        A plan is also void if its first setpoint, ``begins``, differs from the positions of the
+        axes after they were moved by hand.
         """
         away = state.state is State.AWAY
         if begins is not None and len(self.away) and run_id.continues(self.run_id):
@@ -123,7 +125,7 @@ class PlanQueue:
         return run_id == self.run_id and (self.is_left(state) or away)
 
     def begins_elsewhere(self, begins: FloatArray) -> bool:
-        """Return whether no motion from rest has this setpoint as its first one."""
+        """Return whether this setpoint cannot be the first one of a motion from rest."""
         axes = self._axes
         if begins.shape != axes.setpoints[-1].shape:
             return False  # of another machine, which the checks of its message tell
@@ -133,7 +135,7 @@ class PlanQueue:
     # What comes ----------------------------------------------------------------------------------
 
     def push(self, chunk: Chunk, functions: int) -> None:
-        """Append a chunk to the plan; ``functions``: how many of the run are executed."""
+        """Append a chunk to the plan; ``functions``: number of functions executed in the run."""
         last = self.buffer.chunks[-1] if self.buffer.chunks else self.current
         pushed = self._written(chunk, self.buffer.next_number, last, functions)
         if last is not None:
@@ -157,7 +159,7 @@ class PlanQueue:
         return [self._axes.tip_speeds(rows) for rows in (chunk.samples, chunk.tail)]
 
     def before_join(self, run_id: RunId, number: int, state: RunState) -> FloatArray:
-        """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
+        """Return the last three setpoints before a join [m, rad]; StreamError if too late."""
         mine, buffer, row = self.run_id, self.buffer, self.row + 1
         waits = state.resting and number >= self.played_of_plan
         ahead = waits or (buffer.chunks and number >= buffer.chunks[0].after)
@@ -175,7 +177,7 @@ class PlanQueue:
     def join(
         self, run_id: RunId, number: int, chunk: Chunk, state: RunState, functions: int
     ) -> None:
-        """Replace setpoints from a number on by a plan's first chunk; StreamError if passed."""
+        """Replace setpoints from a number on by a plan's first chunk; StreamError if too late."""
         newest, buffer = self.before_join(run_id, number, state), self.buffer
         kept = [c for c in buffer.chunks if c.after <= number]
         split = next((c for c in buffer.chunks if c.first < number < c.after), None)
@@ -201,7 +203,7 @@ class PlanQueue:
         self.run_id = run_id
 
     def way_to_rest(self, resting: bool) -> AxisRows:
-        """Return the setpoints down to rest that are played unless a new plan arrives."""
+        """Return the setpoints, down to rest, that are played if no new plan arrives."""
         if resting or self.current is None:
             return AxisRows.held(self._axes.setpoints[-1], 0)
         return axis_rows(

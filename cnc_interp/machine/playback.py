@@ -1,7 +1,7 @@
-"""The state of a run, around the cycle that plays its setpoints: what each event changes.
+"""The state of a run while the cycle plays its setpoints, and how events change it.
 
-When a stop tail was followed, the plan is over; the next one begins where the machine rests.
-``plan_queue.py`` holds the setpoints of the plans.
+After a stop tail the plan is over, and the next plan begins at the positions where the machine
+rests. ``plan_queue.py`` holds the setpoints of the plans.
 """
 
 from collections import deque
@@ -43,7 +43,7 @@ from cnc_interp.machine_model.signals import (
 from cnc_interp.run.run_state import NO_RUN, Event, Reason, RunId, RunState, State, WaitsFor
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
-#: What occurs when the machine rests after the last setpoint of a chunk, and why it rests.
+#: Event and reason when the machine rests after the last setpoint of a chunk.
 RESTS = {
     Wait.NOTHING: (Event.FILL, Reason.NONE),
     Wait.OVERRIDE: (Event.PAUSE, Reason.OVERRIDE),
@@ -55,16 +55,17 @@ RESTS = {
     Wait.END: (Event.FINISH, Reason.NONE),
 }
 STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
-LOST = 2.0  #: A planner whose setpoints are waited for so long counts as lost [s].
-TOGETHER = 0.01  #: Motion that is read at once, where nothing else happens and much waits [s].
-SPARE_CHUNKS = 4096  #: Chunks that may wait beside one for each setpoint of a full buffer.
+LOST = 2.0  #: The planner counts as lost after this wait for setpoints [s].
+#: Motion that is read in one call if much is buffered and nothing else happens [s].
+TOGETHER = 0.01
+SPARE_CHUNKS = 4096  #: Chunks that may wait in addition to one per setpoint of a full buffer.
 
 
 class Executed(NamedTuple):
-    """Consecutive executed setpoints, and where the axes were [m, rad]."""
+    """Consecutive executed setpoints, with the positions of the axes [m, rad]."""
 
     run_id: RunId  #: The plan.
-    number: int  #: Of the first in the run.
+    number: int  #: Number of the first setpoint in the run.
     rows: Setpoints
     actual: FloatArray
     ends: bool  #: Whether the program ends with them.
@@ -73,8 +74,8 @@ class Executed(NamedTuple):
 class Contact(NamedTuple):
     run_id: RunId
     line: int  #: Of the source.
-    position: FloatArray  #: (n_axes,): Where the axes were then [m, rad].
-    at_once: bool  #: It had answered before the line began.
+    position: FloatArray  #: (n_axes,): Positions of the axes at that time [m, rad].
+    at_once: bool  #: Whether the probe had answered before the line began.
 
 
 class Followed(NamedTuple):
@@ -83,10 +84,10 @@ class Followed(NamedTuple):
     run_id: RunId
     block: int
     line: int  #: Of the source.
-    ramp: float  #: Turns in which the axes get in step.
+    ramp: float  #: Turns that the axes need to get in step.
     position: FloatArray  #: (K, n_axes): Setpoints [m, rad].
     angle: FloatArray  #: (K,) [rev].
-    later: int  #: The angle of a setpoint comes so many periods after it.
+    later: int  #: Number of periods by which the angle is later than its setpoint.
 
 
 class Reached(NamedTuple):
@@ -103,12 +104,12 @@ class Reached(NamedTuple):
 
 @dataclass
 class Progress:
-    """What counts for one run alone."""
+    """State that belongs to one run only."""
 
     last: Reached | None = None  #: The setpoint played last.
-    finishing: bool = False  #: Whether its last functions wait.
+    finishing: bool = False  #: Whether the last functions of the run are waiting.
     answered: bool = False  #: Whether the probe has answered.
-    waited: float = 0.0  #: How long setpoints were waited for [s].
+    waited: float = 0.0  #: Time spent waiting for setpoints [s].
     #: The setpoints of a line that followed the spindle are left out; a hold came meanwhile.
     passing: bool = False
     held_after: bool = False
@@ -168,12 +169,12 @@ class Playback:
         self.plans.empty()
 
     def shift(self, drives: HomedDrives, by: FloatArray) -> None:
-        """Count the axes from elsewhere, at rest; they stay where they are [m, rad]."""
+        """Renumber the axes at rest: add ``by`` to their positions [m, rad]. Nothing moves."""
         drives.shift(by)
         self._place(drives.position)
 
     def switch_on(self) -> None:
-        """Switch the drives on. Where they cannot be, the machine is in FAULT until a reset."""
+        """Switch the drives on. If that fails, the machine is in FAULT until a reset."""
         self.state = self.state.after(Event.ACTIVATE)
         try:
             self._power_on()
@@ -191,7 +192,7 @@ class Playback:
         self.drives.switch_off()
 
     def switch_off(self) -> None:
-        """Switch the drives off; at rest without a run, or in a fault."""
+        """Switch the drives off; allowed at rest without a run, or in a fault."""
         self.state = self.state.after(Event.DEACTIVATE)
         self._switch_off(EMERGENCY)
         self._power_off()
@@ -207,12 +208,12 @@ class Playback:
         self._forget_run(run_id)
 
     def make_room(self, run_id: RunId) -> None:
-        """Refuse a plan that cannot begin now (StreamError), else drop what waits."""
+        """Drop the waiting setpoints for a new plan; StreamError if it cannot begin now."""
         self.read()
         self.plans.make_room(run_id, self.state)
 
     def begin_plan(self, run_id: RunId) -> None:
-        """Prepare for a new run, or for another plan of the run from where the machine rests."""
+        """Prepare for a new run, or for another plan of the run from the present rest."""
         if run_id.program_id != self.plans.run_id.program_id or self.state.completed:
             self.begin(run_id)
             return
@@ -228,12 +229,12 @@ class Playback:
 
     @property
     def last(self) -> Reached | None:
-        """Where the setpoint played last lies in the program."""
+        """Place in the program of the last played setpoint."""
         return self._progress.last
 
     @property
     def busy(self) -> bool:
-        """Return whether the cycle must be read often: setpoints wait or move."""
+        """Whether the cycle must be read often, because setpoints wait or are being played."""
         waits = self.plans.buffer.count or self.switching.busy or self._delayed is not None
         return bool(not self.state.resting or waits)
 
@@ -247,7 +248,7 @@ class Playback:
                 raise StreamError('jog is not possible: a program is about to start')
 
     def begin_jog(self, run_id: RunId, chunk: Chunk) -> None:
-        """Begin a motion by hand at once; in a hold the run stays, and another plan leads back."""
+        """Begin a motion by hand at once; in a hold the run is kept, and a new plan leads back."""
         self.check_jog()
         plans = self.plans
         if self.state.state is State.HELD:
@@ -260,7 +261,7 @@ class Playback:
         self.cycle.start(plans.buffer.chunks[0].serial)
 
     def push(self, chunk: Chunk) -> bool:
-        """Take a chunk into the buffer, unless its plan or its motion by hand is over."""
+        """Put a chunk into the buffer, unless its plan or its motion by hand is over."""
         by_hand = self.state.by_hand
         self.look()
         over = by_hand and not self.state.by_hand
@@ -270,12 +271,12 @@ class Playback:
         return True
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
-        """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
+        """Return the last three setpoints before a join [m, rad]; StreamError if too late."""
         self.read()
         return self.plans.before_join(run_id, number, self.state)
 
     def join(self, run_id: RunId, number: int, chunk: Chunk) -> None:
-        """Replace setpoints from a number on by a plan's first chunk; StreamError if passed."""
+        """Replace setpoints from a number on by a plan's first chunk; StreamError if too late."""
         self.read()
         self.plans.join(run_id, number, chunk, self.state, self.switching.functions)
 
@@ -295,17 +296,17 @@ class Playback:
         self._handle(Event.STOP, Reason.EMERGENCY_STOP)
 
     def start(self) -> None:
-        """Continue as soon as enough setpoints are buffered; StreamError without any run."""
+        """Continue as soon as enough setpoints are buffered; StreamError if there is no run."""
         self.read()
         self.state = self.state.after(Event.RESUME)
 
     def refuse(self, reason: str) -> None:
-        """No further setpoints come: play those in the buffer, stop on the path, go to FAULT."""
+        """Play the buffered setpoints, stop on the path and go to FAULT: no more will arrive."""
         self.read()
         self._handle(Event.REFUSE, detail=reason)
 
     def reset(self) -> None:
-        """Clear a fault, or give up what is left of a run; StreamError unless at rest."""
+        """Clear a fault, or give up the rest of a run; StreamError unless at rest."""
         self.read()
         cleared = self.state.after(Event.RESET)
         if not self._powered:
@@ -327,7 +328,7 @@ class Playback:
     # Outputs ------------------------------------------------------------------------------------
 
     def switch(self, acts: Sequence[Act]) -> None:
-        """Set outputs at rest without a program, one after the other; else StreamError."""
+        """Set outputs one after the other; StreamError unless at rest without a program."""
         self.read()
         if self.state.state is not State.IDLE or self.plans.buffer.count:
             text = self.state.text or self.state.state.value
@@ -349,7 +350,7 @@ class Playback:
         self.switching.stop(word)
 
     def _see_answer(self, number: int) -> None:
-        """Note that the probe has answered in the period of a setpoint, and come to rest."""
+        """Record that the probe answered in the period of a setpoint, and stop."""
         moving = (State.RUNNING, State.HOLDING, State.STARVING)
         if self.last is None or self.state.state not in moving:
             return
@@ -422,13 +423,13 @@ class Playback:
         self.read()
 
     def look(self) -> None:
-        """Read, but motion along a program only some periods at a time, which costs far less."""
+        """Read the cycle; motion along a program is read several periods at a time."""
         waits = self._delayed is not None or self.switching.busy
         if waits or self.state.by_hand or self.cycle.has_news(self._together):
             self.read()
 
     def read(self) -> None:
-        """Take over what the cycle has done; start it when enough setpoints are there."""
+        """Process the records of the cycle; start it once enough setpoints are buffered."""
         records = self.cycle.read()
         count = len(records.source)
         if count:
@@ -443,7 +444,7 @@ class Playback:
         self._work(count * self.axes.period)
 
     def _take_over(self, records: Records) -> None:
-        """Read some periods of one source; only the first one may have an event."""
+        """Process some periods of one source; only the first of them may have an event."""
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
             source = kernel.REST  # delayed drives have failed in the meantime
@@ -496,7 +497,7 @@ class Playback:
             self.state = self.state.after(Event.STARVE, Reason.STARVED, str(self.plans.played))
 
     def _rest(self, on_tail: bool) -> None:
-        """Rest on the path: after a stop another plan must follow, else the setpoints go on."""
+        """Rest on the path; after a stop a new plan must follow, otherwise setpoints continue."""
         current = self.plans.current
         if on_tail or self.state.leaves_plan or current is None:
             self.plans.empty()
@@ -528,7 +529,7 @@ class Playback:
         self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, fault)
 
     def _alarm(self, cause: str) -> None:
-        """Stop on the path, because of an alarm of the drives; at rest go to FAULT at once."""
+        """Stop on the path because of an alarm of the drives; at rest, go to FAULT at once."""
         if self.state.state is not State.INACTIVE and self.state.reason is not Reason.DRIVE_FAULT:
             self._handle(Event.STOP, Reason.DRIVE_FAULT, cause)
 
@@ -541,7 +542,7 @@ class Playback:
         self.followed.append(Followed(*line, wanted, records.angle, self._later))
 
     def _pass_over(self) -> None:
-        """Count the setpoints of a line that has followed the spindle as played."""
+        """Count the setpoints of a line in step with the spindle as played."""
         progress, plans = self._progress, self.plans
         while progress.passing:
             if plans.current is None:

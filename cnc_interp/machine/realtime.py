@@ -9,17 +9,17 @@ import numpy as np
 from cnc_interp.core import UM, IntArray
 from cnc_interp.core.kernels import njit
 
-#: Flags of `mlockall` in <sys/mman.h>: present and future pages, each once it is used.
+#: Flags of `mlockall` in <sys/mman.h>: lock present and future pages, each at its first use.
 LOCK_CURRENT, LOCK_FUTURE, LOCK_ON_FAULT = 1, 2, 4
 NANO = 1e-9
-#: Width of a class of the histogram [ns], classes up to 100 ms; after them the largest lateness
-#: and the periods that were caught up; words of the record.
+#: Width of a class of the histogram [ns]; number of classes, up to 100 ms; after them the largest
+#: lateness and the number of periods caught up; number of words of the record.
 CLASS, CLASSES = 2000, 50_000
 LARGEST, CAUGHT_UP, RECORD = CLASSES, CLASSES + 1, CLASSES + 2
 
 
 def ask_for_priority(priority: int) -> str:
-    """Request SCHED_FIFO, 1 to 99, of the calling thread; return in words what was granted."""
+    """Request SCHED_FIFO priority 1 to 99 for the calling thread; return the result as text."""
     if priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -34,7 +34,7 @@ def niceness() -> str:
 
 
 def lock_memory() -> str:
-    """Lock all pages that this process uses in memory; return the result in words."""
+    """Lock all pages of this process in memory; return the result as text."""
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if soft != hard:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (hard, hard))
@@ -60,17 +60,17 @@ def note_catching_up(record: IntArray, late: int) -> None:
 
 
 class Lateness:
-    """Histogram of how late a periodic thread woke up; periods caught up are no wake-ups."""
+    """Histogram of the lateness of a periodic thread; periods caught up do not count."""
 
     def __init__(self, record: IntArray):
         self._reached = np.cumsum(record[:CLASSES])
         self.count = int(self._reached[-1])
         self.largest = float(record[LARGEST]) * NANO
-        #: Periods that could begin only after they should have ended.
+        #: Number of periods that began only after their own end.
         self.caught_up = int(record[CAUGHT_UP])
 
     def quantile(self, share: float) -> float:
-        """Return the lateness that a share of the wake-ups did not exceed, to one class [s]."""
+        """Return the lateness that a share of wake-ups did not exceed, rounded to a class [s]."""
         found = int(np.searchsorted(self._reached, share * self.count))
         return min((found + 1) * CLASS * NANO, self.largest)
 

@@ -1,4 +1,4 @@
-"""Figures of a run: what the machine node reports of it, beside its state."""
+"""Figures of a run that the machine node reports in addition to its state."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Simulated drives behind the port of ``drives.py``, and a whole motion of them at once."""
+"""Simulated drives with the interface of ``drives.py``, and the simulation of whole motions."""
 
 import numpy as np
 from numba import carray, types
@@ -15,9 +15,9 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 
 CALM = 0.02  #: Time between two steps at rest [s].
-#: Of a simulated spindle: change of its speed without another one in the machine file [rev/s2],
-#: time in which it nears its speed [s], and words of its memory: step and memory of the axes,
-#: outputs and inputs by their addresses; their numbers; period, ramp and speed.
+#: Simulated spindle: default acceleration [rev/s2], time constant near its speed [s], and words of
+#: its memory. The words are the addresses of step and memory of the axes, of outputs and inputs;
+#: their numbers; period, ramp and speed.
 RAMP, NEARS, SPIN_WORDS = 50.0, 0.03, 11
 
 
@@ -38,7 +38,7 @@ def spin_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
 
 
 class SimulatedDrives(CycleDrives):
-    """Drives that follow setpoints by ``drive_model.py``; at first they stand at ``position``."""
+    """Drives that follow setpoints by ``drive_model.py``, beginning at ``position``."""
 
     calm = CALM
 
@@ -89,14 +89,14 @@ def simulate(
     velocities: FloatArray | None = None,
     model: Machine | None = None,
 ) -> Recording:
-    """Run simulated drives through all setpoints, from rest, to the bits of ``SimulatedDrives``.
+    """Simulate drives over all setpoints, from rest; same bits as ``SimulatedDrives``.
 
     Parameters
     ----------
     positions, velocities : FloatArray
         (K, n_axes), one row each period [m or rad, per s]; by default central differences.
     model : Machine, optional
-        Compensate its drives; all axes are then later by ``Compensation.lead``.
+        Compensate the drives of this machine; axes are then later by ``Compensation.lead``.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def simulate(
 
 
 class CompensatedDrives(CycleDrives):
-    """Drives that are sent the inverse of their model, and what was ``learnt`` for setpoints."""
+    """Drives whose setpoints are corrected by the inverse of their model and by ``learnt``."""
 
     calm = CALM
 
@@ -139,7 +139,7 @@ class CompensatedDrives(CycleDrives):
 
 
 class Uncompensated:
-    """Drives of a model that get the setpoints as they are; they begin at ``position``."""
+    """Drives of a model that receive uncorrected setpoints, beginning at ``position``."""
 
     def __init__(self, model: Machine, period: float, position: FloatArray):
         self._words = words_of(model, period, position)

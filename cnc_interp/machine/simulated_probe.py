@@ -1,4 +1,4 @@
-"""A simulated probe: a ball that touches given surfaces, on drives with a compiled step.
+"""A simulated probe: a ball that touches given surfaces, for drives with a compiled step.
 
 The file is in mm and deg, in the workpiece frame of the machine file:
 
@@ -9,10 +9,10 @@ The file is in mm and deg, in the workpiece frame of the machine file:
       - {boss: [60, 0, 0], radius_mm: 10}
       - {ball: [0, 0, 30], radius_mm: 12}
       - {box: [0, 40, -5], half: [30, 10, 5], turned_deg: 3}
-    machine: real.yaml                        # whose geometry the axes have, if another one
+    machine: real.yaml                        # true geometry of the axes, if different
 
-The ball touches where the signed distance of its centre from a surface is its radius. Distances
-beside edges are those of the planes that meet there.
+The ball touches a surface when the signed distance of its centre is its radius. Near an edge, the
+distance is that from the planes that meet there.
 """
 
 import math
@@ -35,7 +35,7 @@ from cnc_interp.machine_model.transform_port import Transform
 
 PLANE, BALL, BORE, BOSS, BOX = range(5)
 KINDS = {'plane': PLANE, 'ball': BALL, 'bore': BORE, 'boss': BOSS, 'box': BOX}
-#: What a surface of a kind has beside its place, and what it is if left out.
+#: Further entries of each kind of surface, with their defaults.
 GIVEN: Mapping[int, Mapping[str, Any]] = {
     PLANE: {'normal': [0.0, 0.0, 1.0]},
     BALL: {'radius_mm': None},
@@ -45,9 +45,9 @@ GIVEN: Mapping[int, Mapping[str, Any]] = {
 }
 PROBE = {'radius_mm': 1.5, 'length_mm': 0.0, 'noise_um': 0.0, 'delay_ms': 0.0}
 COLUMNS = 8  #: Of a surface: kind, place, normal or half sizes, radius or angle.
-#: Words of the memory, as integers: the step and the memory of the drives, the input, surfaces,
-#: geometry and noise by their addresses, and their numbers; periods of delay and since a change;
-#: the address of the input of the time stamp, or 0.
+#: Integer words of the memory: addresses of step and memory of the drives, of the input, surfaces,
+#: geometry and noise, and their numbers; periods of delay, and since the last change; address of
+#: the input for the time stamp, or 0.
 STEP, MEMORY, INPUT, SURFACES, COUNT, GEOMETRY, EXTRA, NOISE, AT, DELAY, SINCE = range(11)
 STAMP, WORDS = 11, 12
 #: Numbers after them: radius of the ball, and its centre beyond the tip of the machine file [m];
@@ -76,7 +76,7 @@ def distance(surface: FloatArray, p: FloatArray) -> float:
 
 @cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
 def probe_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
-    """Step the drives, then set the input of the probe; see ``drives.CycleDrives``."""
+    """Step the drives, then set the probe input; see ``drives.CycleDrives``."""
     numbers = carray(pointer(memory), (SIZE_OF_MEMORY,))
     head = numbers.view(np.int64)
     fault = call_drives(np.uintp(head[STEP]), np.uintp(head[MEMORY]), setpoint, feedback, n)
@@ -141,7 +141,7 @@ class ProbingDrives(SimulatedDrives):
 
 
 def read_surfaces(file: Path) -> tuple[dict[str, float], FloatArray, str]:
-    """Read the ball, the surfaces, (n, COLUMNS), and the machine; or InterpError."""
+    """Read the ball, the surfaces, (n, COLUMNS), and the machine; InterpError if invalid."""
     try:
         content = read_yaml(file)
     except (OSError, UnreadableError) as problem:
@@ -170,7 +170,7 @@ def read_surfaces(file: Path) -> tuple[dict[str, float], FloatArray, str]:
 
 
 def _numbers(given: Any, known: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return numbers, and three of them each for places and directions, that a mapping names."""
+    """Return the numbers of a mapping; places and directions have three each."""
     if not isinstance(given, dict) or set(given) - set(known):
         raise InterpError(f'{where}: may have {", ".join(known)}')
     found = {**known, **given}

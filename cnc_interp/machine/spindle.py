@@ -1,10 +1,10 @@
-"""The spindle in the cycle, compiled: the speed that goes out, and a line in step with its angle.
+"""The spindle in the compiled cycle: its speed output, and lines in step with its angle.
 
-What words set are ``commanded`` values; the cycle alone writes the outputs. With G96 the speed
-follows X, and the override counts in each period.
+Words set ``commanded`` values; only the cycle writes the outputs. With G96 the speed follows X.
+The override takes effect in each period.
 
 A line in step with the spindle starts and ends at rest. Its place is a function of the angle
-alone, a cam, so it is the same at every speed, and in reverse. With theta in turns,
+alone (a cam), so it is the same at every speed and in reverse. With theta in turns,
 
     x(theta) = theta - ramp/2, after x = ramp (u^3 - u^4/2), u = theta/ramp, in the first turns
 
@@ -12,9 +12,9 @@ so x'(theta) rises smoothly from 0 to 1. The cam begins half a ramp before an in
 so each pass of a thread meets the same angles; a thread ends by the same ramp. A tapped hole turns
 the spindle at its end and follows it back to the start of the cam, where x is 0 and rests.
 
-What the spindle is told, and the ramp of the machine file, say how it turns; what it turns
-otherwise goes through a fading-memory filter of second order, so that a reversal is not seen late.
-A chain of three integrators follows the sum: steps of an encoder become smooth.
+The commanded speed and the ramp of the machine file predict the angle. The difference between the
+encoder and this prediction goes through a fading-memory filter of second order, so a reversal is
+not seen late. A chain of three integrators follows the sum and smooths the steps of the encoder.
 """
 
 from __future__ import annotations
@@ -38,56 +38,57 @@ _NAMES = list(STATES)
 ZERO, LIMIT, SURFACE_SPEED = (_NAMES.index(name) for name in SURFACE)
 WAY, TURNS = _NAMES.index(THREAD[0]), _NAMES.index(THREAD[3])
 SPINDLE_FIXED = _NAMES.index('spindle_fixed')
-#: Memory of the filter, at least [s], and as a share of the time that it looks ahead, which
-#: amplifies the steps of an encoder [-]; product of the memory and the speed of the chain [-].
+#: Memory of the filter: at least this [s], and this share of the time that it extrapolates, which
+#: amplifies encoder steps [-]. Product of the memory and the speed of the chain [-].
 FADING, OF_AHEAD, BANDWIDTH = 4e-3, 0.75, 1.2
-LOST = 0.25  #: A larger step of the angle is no motion [rev].
-SLOWEST = 0.05  #: A slower spindle stands [rev/s].
-STEADY, LONGEST = 0.5, 20.0  #: Change of a steady speed [1/s], and longest wait for it [s].
-FASTER = 1.15  #: The ramp bears a spindle so much faster than it is [-].
-RESERVE = 0.8  #: Share of the limits for the ramp; a changing speed needs the rest.
-BEARS = 5.0  #: The chain is stable where the ramp asks for so many times its largest jerk [-].
+LOST = 0.25  #: A larger step of the angle resets the filter [rev].
+SLOWEST = 0.05  #: A slower spindle counts as stopped [rev/s].
+#: Largest relative change of a steady speed [1/s], and longest wait for it [s].
+STEADY, LONGEST = 0.5, 20.0
+FASTER = 1.15  #: Factor by which the spindle may speed up during the ramp [-].
+RESERVE = 0.8  #: Share of the axis limits for the ramp; changes of speed need the rest [-].
+BEARS = 5.0  #: The chain remains stable up to this multiple of the ramp's largest jerk [-].
 
 
 class SpindleState:
-    """What the cycle keeps of a spindle from period to period, and of a line in step with it."""
+    """State of a spindle, and of a line in step with it, that the cycle keeps between periods."""
 
-    override: float  #: Of the speed that words set, where the program lets it count [-].
-    #: Angle by the encoder less that by the ramp, filtered, with two derivatives, and whether the
-    #: filter has begun [rev, rev/s, rev/s2].
+    override: float  #: Override of the programmed speed, where the program allows it [-].
+    #: Filtered difference of the encoder angle and the predicted angle, with two derivatives
+    #: [rev, rev/s, rev/s2]; whether the filter has begun.
     seen: Annotated[FloatArray, 3]
     begun: bool
-    #: Angle by the ramp with two derivatives, and periods so far [rev, rev/s, rev/s2].
+    #: Predicted angle with two derivatives [rev, rev/s, rev/s2]; number of periods so far.
     known: Annotated[FloatArray, 3]
     periods: int
     #: The smooth angle that a line follows, with two derivatives [rev, rev/s, rev/s2].
     chain: Annotated[FloatArray, 3]
-    quick: float  #: How fast the chain follows [rad/s].
+    quick: float  #: Bandwidth of the chain [rad/s].
     rate: float  #: Speed by the encoder [rev/s].
-    mode: int  #: What the line does: ``AT_REST`` ... ``DONE``.
+    mode: int  #: Phase of the line: ``AT_REST`` ... ``DONE``.
     cause: int  #: Why it failed; 0 if it did not.
-    waited: float  #: For a steady speed [s].
+    waited: float  #: Time waited for a steady speed [s].
     sense: float  #: 1 if the spindle turns forward, else -1.
-    #: Where the cam begins, and its ramp [rev].
+    #: Angle at which the cam begins, and its ramp [rev].
     begin: float
     ramp: float
-    turned: bool  #: Whether the line has turned the spindle at its end.
+    turned: bool  #: Whether the line has reversed the spindle at its end.
     jerk: float  #: Largest jerk of the chain in step with the spindle [rev/s3].
     places: Annotated[FloatArray, 3]  #: The last three places of the line [rev].
 
 
 class Spindle(NamedTuple):
-    """What the kernels know of a spindle."""
+    """The data of a spindle that the kernels need."""
 
-    commanded: FloatArray  #: (n_outputs,): What words set: outputs of the machine, then states.
-    places: SpindleSignals  #: Where its outputs, its angle and its states are among the others.
+    commanded: FloatArray  #: (n_outputs,): Commanded values: outputs of the machine, then states.
+    places: SpindleSignals  #: Indices of its outputs, angle and states among all signals.
     state: Sequence[SpindleState]  #: (1,).
     limits: FloatArray  #: (3, 3): Velocity, acceleration, jerk of X Y Z [m/s, m/s2, m/s3].
-    known: FloatArray  #: (D, 2): Angle and speed by the ramp since what is told now [rev, rev/s].
+    known: FloatArray  #: (D, 2): Predicted angle and speed in the last D periods [rev, rev/s].
     highest: float = 0.0  #: Largest speed [rev/min].
     ahead: float = 0.0  #: Delay from receiving a setpoint to playing it [s].
     period: float = 0.0  #: [s].
-    slows: float = 0.0  #: How fast the spindle changes its speed [rev/s2].
+    slows: float = 0.0  #: Acceleration of the spindle [rev/s2].
 
     @staticmethod
     def without(commanded: FloatArray) -> Spindle:
@@ -113,11 +114,11 @@ class Spindle(NamedTuple):
 
     @property
     def turns(self) -> bool:
-        """Whether the encoder sees that it turns."""
+        """Whether the spindle turns, according to its encoder."""
         return abs(self.state[0].rate) > SLOWEST
 
     def turning(self, inputs: FloatArray, outputs: FloatArray) -> tuple[float, float]:
-        """Return its speed [rev/min] and angle [rev], by an encoder if there is one."""
+        """Return speed [rev/min] and angle [rev] of the spindle, from its encoder if any."""
         places = self.places
         if places.angle >= 0:
             return 60.0 * float(self.state[0].rate), inputs[places.angle]
@@ -127,7 +128,7 @@ class Spindle(NamedTuple):
         return float(outputs[places.speed] * (forward - reverse)), math.nan
 
     def cause(self, axes: Sequence[str]) -> str:
-        """Say why a line in step with the spindle has failed."""
+        """Return why a line in step with the spindle has failed."""
         cause = self.state[0].cause
         if cause == NO_ANGLE:
             return 'these drives do not report the spindle angle in each period'
@@ -144,7 +145,7 @@ class Spindle(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def set_outputs(spindle: Spindle, outputs: FloatArray, x: float) -> None:
-    """Write what drives get: commanded values, and the speed that counts at X [m]."""
+    """Write the outputs to the drives: commanded values, and the speed that applies at X [m]."""
     commanded, places = spindle.commanded, spindle.places
     for i in range(len(outputs)):
         outputs[i] = commanded[i]
@@ -169,7 +170,7 @@ def memory_of(ahead: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _turn_by_ramp(spindle: Spindle, outputs: FloatArray) -> FloatArray:
-    """Turn as told, by the ramp; return angle and speed so of the period that is told now."""
+    """Advance the predicted angle; return predicted angle and speed of the reported period."""
     places, state, ring = spindle.places, spindle.state[0], spindle.known
     period, known = spindle.period, state.known
     if spindle.slows < math.inf:
@@ -186,9 +187,9 @@ def _turn_by_ramp(spindle: Spindle, outputs: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def see_angle(spindle: Spindle, outputs: FloatArray, inputs: FloatArray, periods: int = 1) -> None:
-    """Take the angle into the filter and the chain, as many periods after the one before.
+    """Advance filter and chain by ``periods`` periods; only the last one has a measured angle.
 
-    With NaN, because the drives have not sampled it yet, the spindle turns as before.
+    If it is NaN because the drives have not sampled it yet, the motion is extrapolated.
     """
     if spindle.places.angle >= 0:
         for k in range(periods, 0, -1):
@@ -231,7 +232,7 @@ def _see(spindle: Spindle, outputs: FloatArray, measured: float) -> None:
 
 @njit(cache=True, nogil=True)
 def begin(spindle: Spindle) -> int:
-    """Choose the ramp and the begin of the cam, once the speed is steady; return the mode."""
+    """Choose ramp and begin of the cam once the speed is steady; return the mode."""
     state, limits = spindle.state[0], spindle.limits
     states = spindle.commanded[spindle.places.states :]
     way, turns = states[WAY : WAY + 3] * 1e-3, states[TURNS]
@@ -280,7 +281,7 @@ def _turn(spindle: Spindle, forward: bool, backward: bool) -> None:
 
 @njit(cache=True, nogil=True)
 def give_up(spindle: Spindle, cause: int) -> None:
-    """Brake from now on, out of step, and let the spindle stop."""
+    """Brake from now on, out of step with the spindle, and stop the spindle."""
     state = spindle.state[0]
     if state.mode == FOLLOWS:
         state.mode, state.cause = BRAKES, cause
@@ -289,7 +290,7 @@ def give_up(spindle: Spindle, cause: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _brake(place: FloatArray, most: FloatArray, period: float) -> float:
-    """Return the next place on the way to rest, within ``most`` acceleration and jerk [rev]."""
+    """Return the next place while braking, within ``most`` acceleration and jerk [rev]."""
     rate = (place[2] - place[1]) / period
     change = (place[2] - 2.0 * place[1] + place[0]) / period**2
     step = most[1] * period
@@ -304,7 +305,7 @@ def _brake(place: FloatArray, most: FloatArray, period: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _violation(spindle: Spindle, way: FloatArray, place: float) -> int:
-    """Return 0, or which limit of which axis the next place breaks."""
+    """Return 0, or a number for the limit and axis that the next place violates."""
     limits, period = spindle.limits, spindle.period
     c, b, a = spindle.state[0].places
     steps = (place - a, place - 2.0 * a + b, place - 3.0 * a + 3.0 * b - c)

@@ -1,7 +1,7 @@
-"""The outputs that are set while the path rests, one after the other, and those of a stop.
+"""Outputs that are set one after the other while the path rests, and outputs of a stop.
 
-Before an output is set, the interlocks of the machine file are looked at: here, because a function
-that can break one lets the path rest.
+Before an output is set, the interlocks of the machine file are checked. That happens only here,
+because every function that can break an interlock makes the path rest.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, TIMED, Signals
 from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Wait
 
-NO_FUNCTION = -1  #: Number of what no function of the program sets.
-LEAST_DELAY = 0.02  #: An input is looked at so long after the output, at the earliest [s].
+NO_FUNCTION = -1  #: Number of an output change that no function of the program makes.
+LEAST_DELAY = 0.02  #: Least time between setting an output and reading the input that answers [s].
 
 
 class Act(NamedTuple):
-    """An output that is set, and what is waited for then."""
+    """An output change, and the condition awaited after it."""
 
     step: Step
     value: float
-    number: int = NO_FUNCTION  #: Of the function in the run.
+    number: int = NO_FUNCTION  #: Number of the function in the run.
     place: int = 0  #: Number of the step in the machine file.
-    block: int = 0  #: At whose begin it acts.
+    block: int = 0  #: Block at whose begin it acts.
     line: int = 0  #: Of the source.
-    before_stop: bool = False  #: Whether it acts before the program stop that is there.
+    before_stop: bool = False  #: Whether it acts before the program stop at its block.
 
     @property
     def limit(self) -> float:
@@ -41,14 +41,14 @@ class Act(NamedTuple):
 
 
 class ActsOfChunk(NamedTuple):
-    rows: list[tuple[int, Act]]  #: With a row of its setpoints.
-    tail: list[tuple[int, Act]]  #: With a row of its stop tail.
-    end: list[Act]  #: After the end of the program.
-    after: int  #: Number of the first function after its setpoints.
+    rows: list[tuple[int, Act]]  #: Acts at a row of the chunk's setpoints.
+    tail: list[tuple[int, Act]]  #: Acts at a row of its stop tail.
+    end: list[Act]  #: Acts after the end of the program.
+    after: int  #: Number of the first function after the chunk.
 
     @staticmethod
     def of(chunk: Chunk, signals: Signals, expected: int) -> ActsOfChunk:
-        """Find the rows of its functions from a number on; StreamError for what cannot be."""
+        """Find the rows of a chunk's functions from a number on; StreamError if impossible."""
         functions, first = chunk.functions, chunk.first_function
         if len(functions) and first > expected:
             raise StreamError(f'functions {expected} to {first - 1} are missing')
@@ -73,7 +73,7 @@ class ActsOfChunk(NamedTuple):
         return ActsOfChunk(rows, tail, end, expected + len(rows) + len(end))
 
     def head(self, count: int, length: int) -> ActsOfChunk:
-        """Return those of the first of ``length`` setpoints; the others become the tail."""
+        """Return the acts of the first ``length`` setpoints; the others move to the tail."""
         rows = [(row, act) for row, act in self.rows if row < count]
         moved = [(row - count, act) for row, act in self.rows if row >= count]
         moved += [(row + length - count, act) for row, act in self.tail]
@@ -83,7 +83,7 @@ class ActsOfChunk(NamedTuple):
 
     @property
     def switches(self) -> tuple[FloatArray, FloatArray]:
-        """Row, output and value of both parts, as the cycle takes them, (k, 3)."""
+        """Return row, output and value for the cycle, (k, 3), of setpoints and stop tail."""
         parts = (
             [(row, act.step.output, act.value) for row, act in acts]
             for acts in (self.rows, self.tail)
@@ -93,7 +93,7 @@ class ActsOfChunk(NamedTuple):
 
     @property
     def waiting(self) -> int:
-        """How many of those of row 0 come before the path may go on, the last one waits."""
+        """Number of acts of row 0 that must be done before the path continues."""
         first = [act for row, act in self.rows if row == 0]
         return max((k + 1 for k, act in enumerate(first) if act.step.rests), default=0)
 
@@ -106,12 +106,12 @@ class Switching:
         self._breach = ''  # the interlock that keeps the first one from being set
         self._is_set = self._answered = False  # the first one of the queue
         self._waited = 0.0  # since it was set [s]
-        #: What functions have set, until it is published: the run, and the setpoint before.
+        #: Acts of functions that are not published yet, with the run and the preceding setpoint.
         self.switched: deque[tuple[RunId, Act, int]] = deque()
         self.begin()
 
     def begin(self) -> None:
-        """Begin a run, of which no function is set; what a stop sets remains."""
+        """Begin a run without executed functions; outputs that a stop has set remain."""
         self._forget()
         self.functions = self._queued = 0  # set so far; number after those that wait
         self.off = ''  # which of ``signals.STOPS`` has switched off
@@ -134,7 +134,7 @@ class Switching:
 
     @property
     def asks(self) -> str:
-        """What the operator must see to before it goes on; empty for nothing."""
+        """Task that the operator must do before the run continues; empty if there is none."""
         if self._queue and self._breach:
             return f'{self._breach}; see to it, then press cycle start to try again, or reset'
         if not (self._queue and self._is_set) or self._answered:
@@ -160,12 +160,12 @@ class Switching:
 
     @property
     def waits_for_answer(self) -> str:
-        """Say which answer of the machine is waited for; empty if no motion would disturb it."""
+        """Return the answer of the machine that is awaited; '' if motion would not disturb it."""
         waits = self._queue and self._is_set and self._queue[0].step.wait not in (NO_WAIT, ASK)
         return self.text if waits else ''
 
     def refusal(self, acts: Iterable[Act]) -> str:
-        """Return the interlock that these would break, up to the first one that waits."""
+        """Return the interlock that these acts would break, up to the first act that waits."""
         outputs = self._commanded.copy()
         for act in acts:
             if breach := self._breach_of(act, outputs):
@@ -183,7 +183,7 @@ class Switching:
         return self._signals.breach(act.step.output, act.value, known)
 
     def stop(self, word: str) -> None:
-        """Switch off what a word of ``signals.STOPS`` says, now; setpoints switch nothing then."""
+        """Switch off the outputs of a word of ``signals.STOPS`` now, and mute later setpoints."""
         self._queue.clear()
         self._is_set, self._breach = False, ''
         off = list(self._signals.off.get(word, ()))
@@ -195,7 +195,7 @@ class Switching:
         self.work(0.0, lambda _: True)
 
     def _as_before(self, output: int, value: float) -> Act:
-        """Return what sets an output again, and waits for the answer that its function has."""
+        """Return the act that sets an output again and waits for the answer of its function."""
         steps = (step for step in self._signals.steps if step.word not in STOPS)
         found = (step for step in steps if (step.output, step.value) == (output, value))
         return Act(next(found, Step('', output, value)), value)
@@ -209,7 +209,7 @@ class Switching:
             self._commanded[self._signals.wired :] = 0.0
 
     def queue(self, acts: ActsOfChunk, starts: bool, stops: bool) -> None:
-        """Take what must be set before the path goes on, or before a program stop waits."""
+        """Queue acts that must be done before the path continues or a program stop waits."""
         if starts and self.off:  # after a lost planner
             self._forget()
             self.add(self._as_before(*each) for each in self._were_on.items())
@@ -222,7 +222,7 @@ class Switching:
                 self._queued = act.number + 1
 
     def note(self, act: Act, run_id: RunId, sample: int) -> None:
-        """Count a function that was set with a setpoint of a run, unless it is counted."""
+        """Record a function that acted with a setpoint of a run, unless already recorded."""
         if act.number < self.functions:
             return
         self.functions = act.number + 1
@@ -235,7 +235,7 @@ class Switching:
         self._is_set, self._breach = self._is_set and bool(self._queue), ''
 
     def work(self, seconds: float, may_begin: Callable[[Act], bool]) -> list[Act]:
-        """Advance the time; return what was set."""
+        """Advance the time and return the acts that were done."""
         done = []
         self._waited += seconds
         while self._queue:

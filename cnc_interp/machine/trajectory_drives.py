@@ -1,9 +1,9 @@
-"""Drives that joint_trajectory_controller of ros2_control moves along trajectories.
+"""Drives moved along trajectories by the joint_trajectory_controller of ros2_control.
 
-The controller executes what the cycle plays a fixed time later, the delay. Each trajectory covers
-what it still has to execute of the played setpoints, and after them the way to rest. The
-trajectories of a motion count time from the same instant, and their points lie on the same grid,
-so one continues the other exactly. A controller that hears nothing more rests on the path.
+The controller executes played setpoints after a fixed delay. Each trajectory contains the played
+setpoints that are not executed yet, and then the way to rest. All trajectories of a motion count
+time from the same instant, and their points lie on the same grid, so that one continues the other
+exactly. Without further trajectories, the controller comes to rest on the path.
 """
 
 import time
@@ -17,24 +17,25 @@ from cnc_interp.machine_model.machine import Machine
 
 SPACING = 0.004  #: Time between points; the controller interpolates between them [s].
 SENDING = 0.02  #: Time between trajectories in motion [s].
-OVERLAP = 0.02  #: A trajectory begins by so much before what the controller executes now [s].
-RESERVE = 0.25  #: Share of the delay by which news must leave before they are due [-].
-LATEST = 1.0  #: Age up to which reports are compared with what was commanded then [s].
-SILENCE_OF_A_CALL = 0.05  #: Most silence that one call adds: this program may stand [s].
+OVERLAP = 0.02  #: A trajectory begins this much before the point being executed [s].
+RESERVE = 0.25  #: New points must be sent this share of the delay before they are due [-].
+LATEST = 1.0  #: Age up to which reports are compared with the commands of their time [s].
+#: Largest silence counted per call, because this program may have stalled [s].
+SILENCE_OF_A_CALL = 0.05
 SLOWER = 2e-3  #: A robot slower than its trajectories by this share is told to stop [-].
 POWER_UP, SETTLING = 5.0, 0.1  #: Longest waits for the controller, and for its axes to settle [s].
 
 
 class Trajectory(NamedTuple):
-    """Points that the controller shall reach, at increasing times; the last one is at rest."""
+    """Points for the controller at increasing times; the last one is at rest."""
 
-    start: int  #: Time of ROS from which the times of the points count [ns].
-    times: IntArray  #: (K,): When each point shall be reached [ns].
+    start: int  #: ROS time that is zero for the times of the points [ns].
+    times: IntArray  #: (K,): Time at which each point is due [ns].
     rows: AxisRows  #: The points.
 
 
 class JointReport(NamedTuple):
-    stamp: int  #: When it was measured, in the time of ROS [ns].
+    stamp: int  #: ROS time of the measurement [ns].
     #: (n_axes,): Actual axis coordinates and velocities [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
@@ -43,13 +44,13 @@ class JointReport(NamedTuple):
 class Controller(Protocol):
     @property
     def name(self) -> str:
-        """Its name, and the name of the topic with its positions, for messages to people."""
+        """Names of the controller and of the topic with its positions, for messages to users."""
 
     def now(self) -> int:
         """Return the time of ROS [ns]."""
 
     def listens(self) -> bool:
-        """Return whether somebody takes trajectories."""
+        """Return whether a controller receives trajectories."""
 
     def speed(self) -> float:
         """Return the share of full speed at which it executes trajectories, as told last [-]."""
@@ -58,7 +59,7 @@ class Controller(Protocol):
         """Send a trajectory that replaces the one before."""
 
     def take_reports(self) -> list[JointReport]:
-        """Return what was reported since the last call."""
+        """Return the reports since the last call."""
 
     def close(self) -> None:
         """Release the controller."""
@@ -67,12 +68,12 @@ class Controller(Protocol):
 class TrajectoryDrives(DelayedDrives):
     """Drives that a trajectory controller moves; see ``drives.DelayedDrives``.
 
-    ``delay``: from a setpoint in the cycle to its execution [s]; ``limits``: following error of
-    each axis [m, rad]; ``silence`` after which the feedback counts as lost [s].
-    Raises DriveFaultError if the positions of the axes are not reported.
+    ``delay``: time from a setpoint in the cycle to its execution [s]; ``limits``: largest
+    following error of each axis [m, rad]; ``silence``: time after which the feedback counts as
+    lost [s]. Raises DriveFaultError if the positions of the axes are not reported.
     """
 
-    lag = 0.02  #: What drives with a following error of about that lag by [s].
+    lag = 0.02  #: Typical lag of drives with a following error [s].
 
     def __init__(
         self,
@@ -91,7 +92,8 @@ class TrajectoryDrives(DelayedDrives):
         self._step = max(1, round(SPACING / period))
         self._linear = machine.is_linear
         self._limits = limits
-        #: Rows that the controller may still need; more are kept to compare late reports with.
+        #: Rows that the controller may still need, and older ones for comparison with late
+        #: reports.
         self._needed = int(np.ceil((delay + OVERLAP) / period)) + self._step
         self._kept = self._needed + round(LATEST / period)
         self._on, self.alarm = False, ''
@@ -118,7 +120,7 @@ class TrajectoryDrives(DelayedDrives):
         self._played = self._kept  # rows so far; the last of them has number ``_played - 1``
         self._told = AxisRows.held(position, 1)  # rows from number ``_told_from`` on, as sent
         self._told_from, self._sent_at = self._played - 1, 0
-        #: When row 0 was due: the last one is due now [ns].
+        #: Time at which row 0 was due, so that the last row is due now [ns].
         self._zero = self._controller.now() - (self._played - 1) * self._period
 
     @property
@@ -157,7 +159,7 @@ class TrajectoryDrives(DelayedDrives):
         self._controller.close()
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
-        """Take setpoints and send what is new to the controller; see ``drives.DelayedDrives``."""
+        """Take setpoints and send new ones to the controller; see ``drives.DelayedDrives``."""
         self._remember(played)
         news = self._news(stop) if self._on else None
         if news is not None:
@@ -167,7 +169,7 @@ class TrajectoryDrives(DelayedDrives):
         return self._feedback(len(played))
 
     def _remember(self, played: AxisRows) -> None:
-        """Add rows to those that were played. At rest, choose from when on times count."""
+        """Append rows to the played ones. At rest, choose the instant from which times count."""
         self._played += len(played)
         self._rows = AxisRows.concatenate([self._rows, played])[-self._kept :]
         recent = self._rows.position[-self._needed :]
@@ -181,7 +183,7 @@ class TrajectoryDrives(DelayedDrives):
         return self._zero + number * self._period + self._delay
 
     def _news(self, stop: AxisRows) -> int | None:
-        """Return the number of the first row that was not sent as it is now; None if all were."""
+        """Return the number of the first row that is not yet sent in its present form, or None."""
         count = min(self._played - self._told_from, self._kept)
         first = self._played - count  # rows before it are forgotten
         told = self._told.position[min(first - self._told_from, len(self._told) - 1) :]
@@ -218,7 +220,7 @@ class TrajectoryDrives(DelayedDrives):
         return reports
 
     def _feedback(self, count: int) -> AxisFeedback:
-        """Return what the axes did in the last periods: for each, what was reported last then."""
+        """Return the feedback of the last periods; each has the last report of its time."""
         before = self._report
         new = self._take_reports()
         self._silence += min(count * self._period * 1e-9, SILENCE_OF_A_CALL)
@@ -236,7 +238,7 @@ class TrajectoryDrives(DelayedDrives):
         return AxisFeedback(position[last], velocity[last], answered[last])
 
     def _answered(self, stamps: IntArray) -> FloatArray:
-        """Return the commanded positions at some times, between rows by cubics [m, rad]."""
+        """Return the commanded positions at some times, interpolated by cubics [m, rad]."""
         at = (stamps - (self._zero + self._delay)) / self._period - (self._played - self._kept)
         at = np.clip(at, 0.0, self._kept - 1.0)
         row = np.minimum(at.astype(np.int64), self._kept - 2)

@@ -78,7 +78,7 @@ def total_memory() -> float:
 class Processes:
     """Some processes that work at the same time, at the lowest priority.
 
-    ``memory`` [bytes] and ``longest`` time [s] of a call; ``stopped`` tells whether all shall end.
+    ``memory`` [bytes] and ``longest`` time [s] of a call; ``stopped`` says whether all shall end.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ def _end_of(connection: Connection, running: _Running[A]) -> EndedCall[R]:
 
 def _live(function: Callable[[A], R], argument: A, result: Connection, memory: float) -> None:
     begin_child(PROCESS_NAME)
-    # A long program is planned by processes of its own; multiprocessing refuses them to a daemon.
+    # A long program is planned by processes of its own; multiprocessing rejects them to a daemon.
     multiprocessing.current_process()._config['daemon'] = False  # type: ignore[attr-defined]
     os.nice(19)
     resource.setrlimit(resource.RLIMIT_DATA, (int(memory), int(memory)))

@@ -134,7 +134,7 @@ def settings_of(settings: Settings) -> tuple[tuple[tuple[str, str], ...], str]:
 
 @cache
 def engine() -> str:
-    """Return a hash of the source text of this package: another version plans anew."""
+    """Return a hash of the source text of this package: another version plans again."""
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parents[1].rglob('*.py')):
         digest.update(source.read_bytes())

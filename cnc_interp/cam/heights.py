@@ -158,7 +158,7 @@ def exact_sum(values: FloatArray, bits: int) -> int:
 
 #: Needles in each direction of a tile, which is a chunk of the store and an image of the page.
 TILE = 256
-MADE_BY = {'made_by': 'cnc_interp'}  #: Attribute that tells our stores from others.
+MADE_BY = {'made_by': 'cnc_interp'}  #: Attribute that distinguishes our stores.
 KINDS = ('lowest', 'highest', 'mean')  #: What a cell of a level says about the needles in it.
 #: Faults of a record that is cut again.
 UNREADABLE = (OSError, UnreadableError, ValueError, TypeError, KeyError)
@@ -183,7 +183,7 @@ class HeightStore:
         self._height = self._group['height']
 
     def _fits(self, place: Path, grid: NeedleGrid) -> bool:
-        """Return whether a store of these needles is there; refuse a folder of somebody else."""
+        """Return whether a store of these needles is there; reject a folder of somebody else."""
         ours = False
         try:
             found = self._zarr.open_group(place, mode='r')

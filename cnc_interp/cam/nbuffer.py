@@ -117,7 +117,7 @@ class CutTile:
 
 
 class TileWorkers(Protocol):
-    """Who cuts tiles; the pools of `batch` do."""
+    """Runs the cutting of tiles in processes, as the pools of `batch` do."""
 
     def run(
         self,

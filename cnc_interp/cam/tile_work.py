@@ -100,7 +100,7 @@ def histogram(figures: Figures) -> dict[str, Any]:
 
 #: Unit of the heights on the page [m], and the number that stands for zero.
 STEP, ZERO = 1e-9, 1 << 23
-POINTS = 65  #: Points in each direction from which the page tells x, y and z.
+POINTS = 65  #: Points in each direction from which the page finds x, y and z.
 
 
 class TilePage:

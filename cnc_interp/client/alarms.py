@@ -63,7 +63,7 @@ class AlarmList:
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
     def forget(self, source: str) -> None:
-        """Drop what a source has told, because it tells all of it again."""
+        """Drop what a source has told, because it says all of it again."""
         with self._lock:
             kept = [alarm for alarm in self._alarms if alarm.source != source]
             self._alarms = deque(kept, maxlen=KEPT)

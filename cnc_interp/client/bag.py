@@ -81,7 +81,7 @@ def offered(profile: QoSProfile) -> interfaces.Qos:
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse to write a bag where something is; raises InterpError."""
+    """Reject to write a bag where something is; raises InterpError."""
     if path.exists():
         raise InterpError(f'{path} is there already; name a new folder for the bag')
 

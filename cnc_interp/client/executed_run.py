@@ -50,7 +50,7 @@ class Follower:
         rows, run_id = rows_of(message), run_id_of(message)
         if run_id != self.run_id and len(rows):
             if self._by_hand and not self._rests and rows[0, BLOCK] == 0:
-                self.run_id, self._number = run_id, 0  # void: the motion by hand goes on
+                self.run_id, self._number = run_id, 0  # void: the motion by hand continues
             else:
                 self._begin(run_id)
         axes = message.axis_count
@@ -162,7 +162,7 @@ class ToldStates:
         self._states = sorted(states, key=lambda state: int(state.samples))
         self._next, self._threads = 0, bool(run.followed)  # the first state not compared yet
         self._obeyed = round(OBEYED / run.period)
-        # What the machine told before the run counts until it tells something else.
+        # What the machine told before the run counts until it says something else.
         before = None
         for message in bag.messages('machine_state'):
             if message.program_id == run.program_id:

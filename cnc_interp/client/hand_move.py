@@ -72,7 +72,7 @@ def connected(
 def move_by_hand(
     namespace: str, domain: int | None, values: dict[str, float], pose: bool, **fields: Any
 ) -> Ended:
-    """Move axes [mm, deg], or to a pose, and wait; Ctrl-C stops them. InterpError if refused."""
+    """Move axes [mm, deg], or to a pose, and wait; Ctrl-C stops them. InterpError if rejected."""
     request = pose_request(values, fields['speed']) if pose else MoveAxes.Request(**fields)
     with connected('jog', namespace, domain) as (client, machine):
         for name, value in values.items() if not pose else ():
@@ -86,7 +86,7 @@ def move_by_hand(
 
 
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
-    """Home axes, all where none is named; return those that are not. InterpError if refused."""
+    """Home axes, all where none is named; return those that are not. InterpError if rejected."""
     with connected('home', namespace, domain, lambda one: one.offers('home')) as (client, machine):
         client.granted(client.ask('home', axes=list(axes)))
         wanted = set(axes or machine.homing.switches)
@@ -197,7 +197,7 @@ class LineEnd:
 
 
 def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:
-    """Have lines executed until one is refused; yield their ends, or the modal state without."""
+    """Have lines executed until one is rejected; yield their ends, or the modal state without."""
     with connected('mdi', namespace, domain, lambda one: not one.silent and bool(one.modes)) as (
         client,
         machine,

@@ -9,7 +9,7 @@ LINEAR = 'XYZUVW'  #: Letters of linear axes; what other letters name is an angl
 
 @dataclass(frozen=True)
 class LengthUnit:
-    """A unit of lengths. Angles are in degrees beside each."""
+    """A unit of lengths. Angles are in degrees with either unit."""
 
     name: str
     size: float  #: [m]

@@ -132,7 +132,7 @@ class OperatorClient(ServedNode):
         self.active_modes: ModalState | None = None  # of the block that is executed
         self.signals: MachineSignals | None = None  # outputs and inputs of the machine
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
-        #: Names of two bodies that hit each other or would, and the sentence; by who tells it.
+        #: Names of two bodies that hit each other or would, and the sentence; by who says it.
         self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
         self.machine = self.scene = self.setup_file = ''
         self.stock = ''  #: What the run has cut off the stock of its scene.
@@ -152,7 +152,7 @@ class OperatorClient(ServedNode):
             topic: node.create_publisher(Float64, topic, OVERRIDE) for topic in OVERRIDES
         }
         self._action = ActionClient(node, RunProgram, 'run_program')
-        # Made after those, and DDS tells of them in order: who answers this can answer all.
+        # Made after those, and DDS reports them in order: who answers this can answer all.
         self._doors = {
             owner: node.create_client(GetParameters, f'{owner}/get_parameters')
             for owner in (MACHINE, *OFFERED_BY.values())

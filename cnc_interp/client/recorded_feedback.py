@@ -69,7 +69,7 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
     ), loaded
 
 
-#: States of a run that goes on without a stop.
+#: States of a run that continues without a stop.
 ON_ITS_WAY = (MachineState.IDLE, MachineState.RUNNING)
 NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of the machine node that count.
 
@@ -123,7 +123,7 @@ def recorded_lesson(bag: Bag) -> Lesson:
 
 
 def _rows_of_program(bag: Bag, run: RecordedFeedback) -> slice:
-    """Return the rows from the start of the program to its end; refuse a run with stops."""
+    """Return the rows from the start of the program to its end; reject a run with stops."""
     if not run.complete:
         raise InterpError(f'{bag.path}: the run did not end as programmed; record a whole run')
     first = int(np.argmax(run.block > 0))

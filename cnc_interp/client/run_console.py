@@ -1,4 +1,4 @@
-"""The terminal of a run: sends programs, shows progress, takes Ctrl-C and Enter, tells results."""
+"""The terminal of a run: sends programs, shows progress, takes Ctrl-C and Enter, says results."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from cnc_interp.wire.run_messages import add_executed, goal_of
 Result = RunProgram.Result
 #: Longest time that the nodes may take to start [s]. All kernels may have to be compiled.
 START_TIMEOUT = 300.0
-#: Stops at which the operator is asked to go on.
+#: Stops at which the operator is asked to continue.
 STOP_TEXTS = {
     MachineState.REASON_PROGRAM_STOP: 'program stop',
     MachineState.REASON_OPTIONAL_STOP: 'optional stop',
@@ -56,7 +56,7 @@ RECORD_TIMEOUT = 60.0  #: Longest wait until the recorder hears the nodes [s].
 SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked after it.
 
 
-#: Figures of a result that are told as they are, and those with a value for each axis.
+#: Figures of a result that are reported as they are, and those with a value for each axis.
 AS_TOLD = (
     'message',
     'program_id',
@@ -115,7 +115,7 @@ class RunConsole:
         """Run one program after the other, each to its end.
 
         ``started``: when the command began, in monotonic time [s]. Raises InterpError when the
-        first program was refused before anything moved, or a node ended.
+        first program was rejected before anything moved, or a node ended.
         """
         self._wait_for_nodes()
         if machine.guessed and not self._request.quiet:
@@ -366,7 +366,7 @@ def run_recorded(
                     records.callback(recorder.finish)
                 with RunConsole(client, children, request, recorder) as console:
                     results = console.run(machine, started)
-        except OSError as fault:  # of the record: what was executed is told all the same
+        except OSError as fault:  # of the record: what was executed is reported all the same
             if not results or fault.filename != str(folder):
                 raise
             text = reason_of(fault)

@@ -73,7 +73,7 @@ def domain_of_nodes(domain: int | None) -> int:
 
 
 def check_place(namespace: str, domain: int) -> None:
-    """Refuse a namespace or a domain that ROS 2 does not allow.
+    """Reject a namespace or a domain that ROS 2 does not allow.
 
     Raises InterpError if one of them is wrong; the message says what is allowed.
     """

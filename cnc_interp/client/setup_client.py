@@ -87,7 +87,7 @@ class SetupClient:
 
     def __init__(self, nodes: OperatorClient, who: str):
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'
-        self.table: SetupTable | None = None  #: The table as it was told last; None before.
+        self.table: SetupTable | None = None  #: The table as it was reported last; None before.
         self.setup = JobSetup()
         #: The last change of offsets, by whomever; empty before there was one.
         self.changes: tuple[OffsetChange, ...] = ()
@@ -118,7 +118,7 @@ class SetupClient:
         return await self.ask_each(whole_offset(one.name, one.had) for one in changes)
 
     async def ask_each(self, requests: Iterable[tuple[str, dict[str, Any]]]) -> Answer:
-        """Send requests, one after the other, up to the first that is refused."""
+        """Send requests, one after the other, up to the first that is rejected."""
         answer = Answer(True, 'nothing to set')
         for service, request in requests:
             answer = await asyncio.wrap_future(self.ask(service, **request))

@@ -31,10 +31,10 @@ def program_file(text: str) -> Path:
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose mistakes are told in one line, with the option that may be meant."""
+    """A parser whose mistakes are reported in one line, with the option that may be meant."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse; refuse an unknown option where the options of the command are known."""
+        """Parse; reject an unknown option where the options of the command are known."""
         found, rest = super().parse_known_args(args, namespace)
         unknown = next((word for word in rest if word.startswith('--') and word != '--'), None)
         if unknown is not None:

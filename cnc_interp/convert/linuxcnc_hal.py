@@ -33,7 +33,7 @@ THREADS = re.compile(r'motmod|\[EMCMOT\]\(?EMCMOT\)?')  #: The one that makes th
 ABSENT = re.compile(r'(joint|axis|axisui|halui|iocontrol|motion|spindle|tp|ini|[\w-]+kins)\.\S+')
 #: What asks for the power of a joint.
 ENABLE = re.compile(r'joint\.\d+\.amp-enable-out|motion\.motion-enabled|halui\.machine\.is-on')
-#: The input that tells that the emergency stop is released, what asks for that, and its reset.
+#: The input that says that the emergency stop is released, what asks for that, and its reset.
 RELEASED, LOOP = 'iocontrol.0.emc-enable-in', 'iocontrol.0.user-enable-out'
 RESET = 'iocontrol.0.user-request-enable'
 STOP = 'cnc-released'  #: The signal that takes the place of that of the emergency stop.
@@ -130,7 +130,7 @@ class _Conversion:
     def _power(self, faults: list[str], signals: Signals) -> None:
         """Gate the power: requested, no fault, no empty stream, emergency stop released.
 
-        Without it, outputs with a gate are off, until cnc_interp asks for power anew.
+        Without it, outputs with a gate are off, until cnc_interp asks for power again.
         """
         board, n, wanted = self.board, self.n, sent(0)
         board.connect(wanted, name='cnc-enable')
@@ -233,9 +233,9 @@ class _Conversion:
     ) -> tuple[str, str]:
         """Make an axis count from its index; return where its command and its position are.
 
-        At its index pulse an encoder counts anew from 0. So ``index`` takes the jump off its
+        At its index pulse an encoder counts again from 0. So ``index`` takes the jump off its
         position, and adds it to the command, in that period: the machine sees a position that
-        goes on.
+        continues.
         """
         board = self.board
         off = f'{x}-off.out'
@@ -277,7 +277,7 @@ class _Conversion:
             aim, motor, begins = command, f'{x}{m}-motor.out', ''
             skew = self.wiring.switches.get(joints[0], 0.0) - self.wiring.switches.get(k, 0.0)
             if skew and square:
-                # At the beginning the motor takes over the skew; it is added anew at the end.
+                # At the beginning the motor takes over the skew; it is added again at the end.
                 begins = board.add('edge', f'{x}{m}-begins', {'in': square, 'in-edge': 0})
                 skewed = board.add('mux2', f'{x}{m}-skews', {'sel': square, 'in0': skew})
                 slowly: Inputs = {'in': skewed, 'load': square, 'maxv': SLOW / unit}

@@ -1,4 +1,4 @@
-"""What the INI file of a LinuxCNC machine tells about its joints."""
+"""What the INI file of a LinuxCNC machine says about its joints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,7 @@
 """The model of a drive from what it did: a program that shows it, and a least-squares fit.
 
 The program moves one axis after the other, there and back at several speeds, which shows friction,
-backlash and lags. Then an axis goes on in one direction while its feed alternates faster and
+backlash and lags. Then an axis continues in one direction while its feed alternates faster and
 faster (a chirp), which shows the loops and the flexible mode without sticking. Jerk-limited
 reversals come last. The planner keeps limits and travel, as for any other program.
 

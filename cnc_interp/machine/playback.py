@@ -286,7 +286,7 @@ class Playback:
         """Stop on the path as soon as the setpoints allow, and wait for cycle_start."""
         self.read()
         if self.cycle.follows:
-            self._progress.held_after = True  # a thread goes on to its end
+            self._progress.held_after = True  # a thread continues to its end
             return
         self._handle(Event.HOLD, Reason.FEED_HOLD)
 
@@ -519,7 +519,7 @@ class Playback:
         self.state = self.state.after(*RESTS[wait])
 
     def _fail(self, records: Records) -> None:
-        """Go to FAULT: the cycle has refused a setpoint, or the drives have."""
+        """Go to FAULT: the cycle has rejected a setpoint, or the drives have."""
         row = int(records.row[0])
         if int(records.events[0]) & kernel.FAILED:
             self._handle(Event.FAIL, Reason.DRIVE_FAULT, self.drives.fault(row))

@@ -94,7 +94,7 @@ class Agent:
         return {item.get('id') for one in elements for item in one.iter('DataItem')}
 
     def streams(self, found: Iterable[Observation], following: int) -> bytes:
-        """Return observations; ``following``: number from which the next request goes on."""
+        """Return observations; ``following``: number from which the next request continues."""
         store = self.store
         last = store.next_sequence - 1
         first = min(store.first_sequence, last)

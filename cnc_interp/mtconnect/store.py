@@ -30,7 +30,7 @@ class Observation:
     time: float  #: Since 1970 [s].
     item: str  #: Id of its data item.
     value: str  #: Text, or the level of a condition.
-    code: str = ''  #: Of a condition: who tells it.
+    code: str = ''  #: Of a condition: who says it.
     text: str = ''  #: Of a condition: what is wrong, in words.
 
 
@@ -76,7 +76,7 @@ class Store:
             self._news.notify_all()
 
     def condition(self, item: str, level: str, code: str = '', text: str = '') -> None:
-        """Take what one of several tells of a condition: its code is who tells it."""
+        """Take what one of several says of a condition: its code is who says it."""
         with self._news:
             counts = self._counts[item]
             active = {one.code: one for one in counts if one.value in (WARNING, FAULT)}
@@ -113,7 +113,7 @@ class Store:
     def sample(
         self, items: Collection[str], begin: int | None, count: int
     ) -> tuple[list[Observation], int]:
-        """Return up to ``count`` observations, and the number with which to go on.
+        """Return up to ``count`` observations, and the number with which to continue.
 
         A negative count goes back from ``begin``, or from the newest one. RequestError: not kept.
         """

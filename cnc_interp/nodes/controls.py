@@ -28,7 +28,7 @@ from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
 
-TOLD = 10.0  #: How long the page shows that a motion by hand was refused or broken off [s].
+TOLD = 10.0  #: How long the page shows that a motion by hand was rejected or broken off [s].
 
 
 class Controls:
@@ -62,7 +62,7 @@ class Controls:
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
         if not playback.drives.wired:
             node.create_subscription(MachineSignals, 'machine_inputs', self._take_inputs, STATE)
-        self._told_until = 0.0  # what was refused or broken off is over then [s]
+        self._told_until = 0.0  # what was rejected or broken off is over then [s]
 
     def _contact(self, contact: Foresight, q: FloatArray) -> Any:
         """Find contacts ahead once it is known where the axes are."""

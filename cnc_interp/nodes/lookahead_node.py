@@ -106,7 +106,7 @@ class SmoothingRun:
 
 
 WORK_PERIOD = 0.01  #: Time between two looks for work while blocks or segments are under way [s].
-MOST_WAITING = 1024  #: Segments that may wait for the planner before smoothing goes on.
+MOST_WAITING = 1024  #: Segments that may wait for the planner before smoothing continues.
 MOST_TOGETHER = 32  #: Most segments in one message.
 
 

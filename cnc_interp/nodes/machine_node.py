@@ -28,7 +28,7 @@ from cnc_interp.wire.window_protocol import WindowedReceiver
 
 WORK_PERIOD = 0.005  #: Time between two looks at what was played, while in motion [s].
 CLOCK_PERIOD = 1.0  #: Time between reports about the clock [s].
-#: States in which setpoints are refused.
+#: States in which setpoints are rejected.
 CLOSED = (State.INACTIVE, State.STOPPING, State.FAULT)
 LEVELS = {
     State.FAULT: node_main.ERROR,

@@ -140,7 +140,7 @@ def descriptor_of(parameter: Declared) -> msg.ParameterDescriptor:
 
 
 def check_change(declared: Set[str], changes: list[Any]) -> msg.SetParametersResult:
-    """Refuse changes while the node runs: buffers, windows and plans depend on the values."""
+    """Reject changes while the node runs: buffers, windows and plans depend on the values."""
     for change in changes:
         if change.name in declared:
             return msg.SetParametersResult(

@@ -110,7 +110,7 @@ class Peers:
         return '' if now - self._state_seen <= timeout else 'machine_node'
 
     def refusal(self, run_id: RunId) -> tuple[Refusal, str]:
-        """Return why a run was refused, by the node nearest to the machine that did."""
+        """Return why a run was rejected, by the node nearest to the machine that did."""
         for stream in reversed(RECEIVERS):
             status = self._status.get(stream)
             # A plan that joins too late does not end the run.

@@ -104,7 +104,7 @@ SEGMENTS_PER_TASK = 64  #: Segments taken over together.
 #: Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled.
 SAMPLED_AHEAD = 0.6
 REVISE_AGAIN = 0.02  #: Time between the end of a revision and the next one [s].
-#: Motion sent ahead of the machine before a revision begins, as the plan that goes on is not
+#: Motion sent ahead of the machine before a revision begins, as the plan that continues is not
 #: sampled meanwhile; longest time between two where there is less [s].
 REFILLED, REFILLING = 0.8, 0.5
 #: Motion ahead of the machine after which a revision joins; the most, after a late one [s].
@@ -351,7 +351,7 @@ class PlanningSession:
                 self.path_end = PathEnd.QUEUED
 
     def finish(self, task: PlanningTask, outcome: Callable[[], Any], now: float) -> None:
-        """Store the result of a task, unless of an earlier run; an InterpError refuses the run."""
+        """Store the result of a task, unless of an earlier run; an InterpError rejects the run."""
         if task is not self.task:
             return
         self.task = None

@@ -228,7 +228,7 @@ class Preparation:
             raise BlockError('cancelled before anything moved')
 
     def look(self) -> Outcome | None:
-        """Return the outcome if the program was refused; store it when it is checked."""
+        """Return the outcome if the program was rejected; store it when it is checked."""
         if self.prepared is not None or self.future is None or not self.future.done():
             return None
         try:

@@ -72,7 +72,7 @@ class ProgramRun:
         self.missing = ''  # a node that is silent
         self.recovery = run_phase.LossRecovery()
         self._since = 0.0  # time at which the phase began [s]
-        self.continue_at = 0.0  # path length from which the program goes on [m]
+        self.continue_at = 0.0  # path length from which the program continues [m]
         self._machine: MachineReport | None = None  # its last report on this run
         self._machine_at = 0.0  # when it came [s]
         self.sent_before = 0  # blocks, the most of the attempts before
@@ -201,7 +201,7 @@ class ProgramRun:
         return run_phase.refused(kind, reason, moved=self._machine is not None)
 
     def _at_probe(self, probe: Probe, machine: MachineReport) -> Outcome | None:
-        """Return why the program ends at the probe; if it goes on, where it was."""
+        """Return why the program ends at the probe; if it continues, where it was."""
         contact = self.contact
         if machine.probed and contact is None:
             return None  # its message comes
@@ -492,9 +492,9 @@ class ProgramQueue:
         return [entry.run.name for entry in self._entries]
 
     def watch(self) -> None:
-        """End goals that were cancelled or refused. A refused one ends all after it."""
+        """End goals that were cancelled or rejected. A rejected one ends all after it."""
         for entry in list(self._entries):
-            if entry not in self._entries:  # a goal before it was refused
+            if entry not in self._entries:  # a goal before it was rejected
                 continue
             if entry.handle.is_cancel_requested:
                 self._entries.remove(entry)

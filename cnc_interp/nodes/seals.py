@@ -69,7 +69,7 @@ class Heard(NamedTuple):
 class Ear:
     """Reads one topic; ignores, counts and names messages without the seal of its sender.
 
-    ``tell`` gets who sent it; ``spoilt`` tells whether a message was damaged on its way. ``read``
+    ``tell`` gets who sent it; ``spoilt`` says whether a message was damaged on its way. ``read``
     makes of the bytes what ``take`` gets.
     """
 

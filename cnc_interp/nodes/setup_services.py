@@ -73,7 +73,7 @@ class SetupServices:
         self.use('', '', frozenset())
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:
-        """Change the table and tell all; returns what was changed, raises InterpError."""
+        """Change the table and publish it; returns what was changed, raises InterpError."""
         told = self._table.apply(changes, who)
         if told:
             self._node.get_logger().info(f'{who}: {told}')

@@ -169,7 +169,7 @@ class Inlet:
         except StreamError as fault:
             if fault.kind is Refusal.PLAN_OVER:
                 receiver.close(str(fault))
-            elif fault.kind is Refusal.TOO_LATE:  # the stream goes on with the plan before
+            elif fault.kind is Refusal.TOO_LATE:  # the stream continues with the plan before
                 self._name(WARN, fault.kind, str(fault))
                 self._publish(run_id, refusal_kind=fault.kind, refusal=str(fault))
             else:
@@ -186,7 +186,7 @@ class Inlet:
         self._gap = False
         self._on_message(message)
         if begun:
-            self.tell()  # the sender may go on
+            self.tell()  # the sender may continue
 
     def _pass_over(self, fault: StreamError, mine: bool) -> None:
         receiver = self.receiver

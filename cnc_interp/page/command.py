@@ -51,7 +51,7 @@ def run_panel(options: Namespace) -> None:
     if options.attach:
         until_asked(served, options.namespace, domain, dict)
         return
-    Machine.load(options.machine)  # a wrong name is told before anything starts
+    Machine.load(options.machine)  # a wrong name is reported before anything starts
     machine = f"'{options.machine}'"
     parameters: dict[str, dict[str, object]] = {name: {'machine': machine} for name in NODES}
     if options.drives.get('drives', 'simulated') == 'simulated':
@@ -113,7 +113,7 @@ class PanelBeside:
 
     def __init__(self, options: Namespace):
         need_library()
-        token_of(options.token_file)  # a wrong one is told before anything starts
+        token_of(options.token_file)  # a wrong one is reported before anything starts
         self._options = options
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -24,7 +24,7 @@ from starlette.responses import PlainTextResponse
 
 from cnc_interp.client.operator_client import STOPS, Answer
 
-#: What a key does, and how a page has it done: allowed or refused on the server.
+#: What a key does, and how a page has it done: allowed or rejected on the server.
 Act = Callable[[], Awaitable[Answer]]
 Command = Callable[[Act], Awaitable[None]]
 

@@ -79,7 +79,7 @@ class JogPad:
     ):
         self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
         self._nodes, self._may_move, self._unit, self._command = nodes, may_move, unit, command
-        self._told = ''  # what was told of the key that is held
+        self._told = ''  # what was reported of the key that is held
         self._step = HOLD
         self._shown: list[bool] = []  # which axes are homed
         self._alarm: Alarm | None = None  # the last one of motion by hand
@@ -173,7 +173,7 @@ class JogPad:
         return along_tool(self._machine, stands)
 
     def _end(self, name: str, sign: int) -> str:
-        """Return at which end of its travel an axis stands, in words; empty if it can go on."""
+        """Return at which end of its travel an axis stands, in words; empty if it can continue."""
         state = self._nodes.state
         if state is None or name not in (*self._names, TOOL):
             return ''

@@ -270,7 +270,7 @@ class Page:
         self._editor = EditorDialog(desk, self._command)
         self._messages = Messages(self._desk.nodes.alarms)
 
-    # Commands: every one is allowed or refused here, on the server ----------------------------
+    # Commands: every one is allowed or rejected here, on the server ----------------------------
 
     @property
     def _in_charge(self) -> bool:

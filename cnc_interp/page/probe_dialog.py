@@ -54,7 +54,7 @@ class ProbeDialog:
         self._fields: dict[str, Any] = {}
 
     def open(self, name: str = 'surface') -> None:
-        """Show a cycle; the fields are made anew, as in ``SettingsDialog``."""
+        """Show a cycle; the fields are made again, as in ``SettingsDialog``."""
         cycle = cycles()[name]
         self._dialog.clear()
         with self._dialog, ui.card().classes('settings'):

@@ -53,7 +53,7 @@ class FolderDialog:
 
 
 class EditorDialog:
-    """An editor of the loaded program, with its refused lines in red (``editor.js``)."""
+    """An editor of the loaded program, with its rejected lines in red (``editor.js``)."""
 
     def __init__(self, desk: Desk, command: Command):
         self._desk, self._command = desk, command
@@ -92,7 +92,7 @@ class EditorDialog:
         ui.run_javascript(f'editor.open({number})')
 
     def show(self) -> None:
-        """Mark the refused lines of what was checked last."""
+        """Mark the rejected lines of what was checked last."""
         job = self._desk.job
         if not self._dialog.value or job is None:
             return

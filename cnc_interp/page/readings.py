@@ -1,4 +1,4 @@
-"""What a page tells: numbers as words of the shop floor, in its unit of lengths, and messages."""
+"""What a page says: numbers as words of the shop floor, in its unit of lengths, and messages."""
 
 import math
 from collections.abc import Callable

@@ -208,7 +208,7 @@ class MachineView:
         return found.material(css(shape.colour), shape.colour[3])
 
     def show(self, positions: dict[str, float]) -> None:
-        """Move the axes [m, rad]; in the view of the part the workpiece stands still."""
+        """Move the axes [m, rad]; in the view of the part the workpiece rests."""
         if (self._of_part, positions) == self._placed:
             return
         self._placed = self._of_part, positions

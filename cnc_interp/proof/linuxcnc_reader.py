@@ -33,7 +33,7 @@ SECONDS, SECONDS_PER_MB, MEMORY, FILES = 8, 2, 1 << 30, 1 << 26
 #: Largest number of printed lines: BESIDE, and EACH for every row of the plan and line of the
 #: text.
 BESIDE, EACH = 1000, 20
-#: Comments, and words of other controls that LinuxCNC refuses and that move nothing.
+#: Comments, and words of other controls that LinuxCNC rejects and that move nothing.
 _COMMENT = re.compile(r'\([^()\n]*\)|;[^\n]*')
 _LEFT_OUT = re.compile(r'(?<=M6 )D\d+ H\d+|^D\d+$|G04F\d+|M29S\d+', re.MULTILINE | re.IGNORECASE)
 #: Switches of the tool-tip control become comments, which are printed.

@@ -259,7 +259,7 @@ def _answer(proof: Proof, series: Series, tool_error: FloatArray | None) -> str:
 
 
 def _deviation(proof: Proof, name: str) -> Finding:
-    """Return the deviation that uses most of its tolerance, as `plan` tells it."""
+    """Return the deviation that uses most of its tolerance, as `plan` says it."""
     found = [each for each in proof.findings if each.what in DEVIATIONS[name][1]]
     return max(found, key=lambda one: one.ratio if np.isfinite(one.ratio) else -1.0)
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cnc_interp.machine_model.signals import Signals
 
 #: A revision does not join from motion that stops within this time [s], because the jerk stage
-#: cannot resolve the path of a few periods. It lets the motion stop, and goes on from rest.
+#: cannot resolve the path of a few periods. It lets the motion stop, and continues from rest.
 BRIEF = 0.01
 
 
@@ -230,7 +230,7 @@ class MotionStream:
         self.course.release(min(s, self.current.release(s)))
 
     def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
-        """Plan anew after a setpoint that was handed out; None where no stop is known."""
+        """Plan again after a setpoint that was handed out; None where no stop is known."""
         found = self.current.state_at(number)
         if found is None:
             return None
@@ -254,7 +254,7 @@ class MotionStream:
                     plan.plan()
                 if not new.planner.stuck:
                     return plan
-        # Stop; then go on from rest, where no law with the new feed was found from the motion.
+        # Stop; then continue from rest, where no law with the new feed was found from the motion.
         new = Leg(self.limits, period, begun, (v, a))
         new.drive(stop, Wait.OVERRIDE if rests else Wait.NOTHING)
         todo = finely(self.course.after(float(stop.path.s[-1])))
@@ -265,7 +265,7 @@ class MotionStream:
         return before
 
     def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
-        """Plan anew from rest at s [m], numbered from 0; ``way`` leads there, s below 0."""
+        """Plan again from rest at s [m], numbered from 0; ``way`` leads there, s below 0."""
         if way is not None:
             self.course.lead(way, s)
             s = float(way.s[0])

@@ -120,7 +120,7 @@ class MachineReport:
         waits = self.state in (State.FILLING, State.PAUSED, State.STARVED)
         if waits and run_id.attempt > 0:  # a node was lost meanwhile
             return True
-        # A machine whose drives are off refuses the plan itself.
+        # A machine whose drives are off rejects the plan itself.
         return self.is_free or self.state is State.INACTIVE
 
     def left(self, run_id: RunId) -> bool:
@@ -128,7 +128,7 @@ class MachineReport:
 
 
 class LossRecovery:
-    """Watches a machine after a node was restarted, and tells when to send the program again.
+    """Watches a machine after a node was restarted, and says when to send the program again.
 
     A machine with setpoints starts at once on cycle_start; the rest is sent where it rests.
     """

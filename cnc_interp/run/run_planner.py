@@ -140,7 +140,7 @@ class RunPlanner:
         return way
 
     def finish(self) -> None:
-        """End the path; raises PlanningError if the place to go on from lies after the end."""
+        """End the path; raises PlanningError if the place to continue from lies after the end."""
         if self._starts is None:
             raise PlanningError('the program ends before the place to go on from; reset')
         self.stream.end_leg(Wait.END)
@@ -154,7 +154,7 @@ class RunPlanner:
         return []
 
     def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> None:
-        """Plan anew from rest at a path length [m]; one moved by hand is led back first."""
+        """Plan again from rest at a path length [m]; one moved by hand is led back first."""
         rest = self.stream.course.rest_at(s)
         there = None if rest is None else rest.position[0]
         if there is not None and np.abs(there - stands).max() <= ON_PATH:

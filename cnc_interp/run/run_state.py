@@ -48,7 +48,7 @@ class State(Enum):
     HELD = 'held'  # at rest on the path until cycle_start
     STARVING = 'starving'  # setpoints are late: follows the stop tail
     STARVED = 'starved'  # at rest on the path until setpoints come
-    STOPPING = 'stopping'  # emergency stop or refused stream: slows down on the path
+    STOPPING = 'stopping'  # emergency stop or rejected stream: slows down on the path
     FAULT = 'fault'  # at rest until reset
     JOGGING = 'jogging'  # moves by hand, without a program
     AWAY = 'away'  # moves by hand away from a hold
@@ -70,8 +70,8 @@ class Event(Enum):
     RESUME = 'resume'  # operator: cycle_start
     RESET = 'reset'  # operator: reset
     STOP = 'stop'  # operator: emergency_stop; or no further setpoints can be executed
-    REFUSE = 'refuse'  # a setpoint message was refused: no further ones of this run come
-    FAIL = 'fail'  # the drives refused a setpoint or reported a fault
+    REFUSE = 'refuse'  # a setpoint message was rejected: no further ones of this run come
+    FAIL = 'fail'  # the drives rejected a setpoint or reported a fault
     JOG = 'jog'  # operator: a motion by hand begins
 
 
@@ -137,7 +137,7 @@ TEXTS = {
 
 _ACTIVE = tuple(state for state in State if state is not State.INACTIVE)
 _ON_PATH_AT_REST = (State.PAUSED, State.FILLING, State.HELD, State.STARVED)
-#: States in which the axes stand still.
+#: States in which the axes rest.
 AT_REST = frozenset({State.INACTIVE, State.IDLE, *_ON_PATH_AT_REST, State.FAULT})
 #: States from which the machine starts by itself when enough setpoints are buffered.
 SELF_STARTING = frozenset({State.IDLE, State.PAUSED, State.FILLING, State.STARVED})
@@ -192,7 +192,7 @@ _REFUSALS = {
 class RunState:
     state: State = State.INACTIVE  #: What the machine is doing.
     reason: Reason = Reason.NONE  #: Why.
-    detail: str = ''  #: What the text of the reason needs: a count, or what was refused.
+    detail: str = ''  #: What the text of the reason needs: a count, or what was rejected.
     #: The machine has left its plan by a stop tail. A new plan must begin where it rests.
     plan_over: bool = False
     #: cycle_start was given and the setpoints to start with are not there yet.
@@ -284,7 +284,7 @@ class RunState:
         )
 
     def _rests_away(self) -> RunState:
-        """Return the hold after a motion by hand: the path goes on from elsewhere."""
+        """Return the hold after a motion by hand: the path continues from elsewhere."""
         reason = Reason.FEED_HOLD if self.reason is Reason.FEED_HOLD else Reason.AWAY
         rests = replace(self, state=State.HELD, reason=reason, plan_over=True)
         return rests._refused_at_rest() if self.refusal else rests

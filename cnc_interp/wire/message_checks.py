@@ -109,7 +109,7 @@ def _check_control_point(name: str, message: G1Block) -> None:
 def check_segment(
     message: PathSegment, extra_count: int = 0, signals: Signals = NO_SIGNALS
 ) -> None:
-    """Refuse a segment that does not fit its kind or the machine's number of extra axes."""
+    """Reject a segment that does not fit its kind or the machine's number of extra axes."""
     name = f'segment {message.sequence} (line {message.line_number})'
     kind, curved = message.kind, message.kind in CURVES
     if kind not in (LINE, CORNER, ROTATION, SPLINE):

@@ -1,4 +1,4 @@
-"""The problem set: its scores tell wrong motions from right ones, and need samples alone."""
+"""The problem set: its scores distinguish wrong motions from right ones by samples alone."""
 
 import numpy as np
 import pytest

@@ -75,7 +75,7 @@ class Chain:
 
     @contextmanager
     def refusals_in_order(self) -> Iterator[None]:
-        """Raise the first refusal of the program, however far reading is ahead of planning."""
+        """Raise the first refusal of the program, even if reading is ahead of planning."""
         try:
             yield
         except PlanningError:

@@ -224,7 +224,7 @@ def approach(
 def way_inside(
     transform: Transform, stands: FloatArray, place: FloatArray, retract: float
 ) -> FloatArray:
-    """Return the corners of the way to a place inside, (5, n_axes) [m, rad].
+    """Return the corners of the way to a place of the program, (5, n_axes) [m, rad].
 
     The tool is drawn back by ``retract``, and farther where the other end lies higher along it.
     """

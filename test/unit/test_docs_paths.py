@@ -65,3 +65,9 @@ def test_rooms_of_the_readme_are_the_folders_of_the_package():
 def test_tests_that_a_page_names_are_in_the_files_that_it_links(page):
     for name, file in NAMED_TEST.findall(page.read_text()):
         assert f'def {name}(' in (page.parent / file).read_text(), f'{file} has no test {name}'
+
+
+def test_the_texts_stay_short_enough_to_be_read():
+    """Words with a letter, in pages and tables; 51,061 before they were condensed."""
+    words = [word for page in PAGES for word in page.read_text().split()]
+    assert sum(any(map(str.isalpha, word)) for word in words) < 48_500

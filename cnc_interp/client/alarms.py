@@ -1,4 +1,4 @@
-"""What the operator must know: warnings and errors of the nodes, and notices of the client."""
+"""Alarms for the operator: warnings and errors of the nodes, and notices of the client."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 KEPT = 200  #: Number of alarms that are kept.
 COMPARED = 8  #: Number of earlier alarms that a new one is compared with.
-TOGETHER = 5.0  #: What several parts of the nodes tell within this time has one reason [s].
-#: A number of a text, not that of a word: M5 is not M6.
+TOGETHER = 5.0  #: Reports of several parts of the nodes within this time share one cause [s].
+#: A number in a text that does not belong to a word: M5 and M6 differ.
 NUMBER = re.compile(r'\b\d+(\.\d+)?')
 LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 
@@ -24,10 +24,10 @@ LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 @dataclass(frozen=True)
 class Alarm:
     time: str  #: Time of day.
-    level: str  #: How serious it is.
-    source: str  #: Which part of which node reports it.
+    level: str  #: Severity.
+    source: str  #: Node, and the part of it that reports.
     message: str  #: What happened, and what to do.
-    count: int = 1  #: How often it came.
+    count: int = 1  #: Number of occurrences.
 
     def repeats(self, other: Alarm) -> bool:
         one, two = (NUMBER.sub('#', alarm.message) for alarm in (self, other))
@@ -35,7 +35,7 @@ class Alarm:
 
 
 class AlarmList:
-    """The latest alarms; a repeated one is kept once, with its count; ``clock``: time [s]."""
+    """The latest alarms; a repeated alarm is stored once, with its count; ``clock``: time [s]."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -55,7 +55,7 @@ class AlarmList:
         return [alarm for alarm in self.history if alarm not in self._cleared]
 
     def clear(self) -> None:
-        """Hide what there is now. It stays in the history."""
+        """Hide the present alarms; they stay in the history."""
         self.hide(lambda _: True)
 
     def hide(self, gone: Callable[[Alarm], bool]) -> None:
@@ -63,7 +63,7 @@ class AlarmList:
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
     def forget(self, source: str) -> None:
-        """Drop what a source has told, because it says all of it again."""
+        """Drop the alarms of a source, because it is going to report all of them again."""
         with self._lock:
             kept = [alarm for alarm in self._alarms if alarm.source != source]
             self._alarms = deque(kept, maxlen=KEPT)
@@ -87,7 +87,7 @@ class AlarmList:
         self._alarms.append(alarm)
 
     def hear(self, status: DiagnosticStatus) -> None:
-        """Take what a part of a node reports now; what it reported before has gone with it."""
+        """Take the present reports of a part of a node; they replace its earlier ones."""
         news = (status.level, status.message)
         if self._last.get(status.name) == news:
             return

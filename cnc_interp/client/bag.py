@@ -22,7 +22,7 @@ from cnc_interp.core import InterpError, StreamError, small_files
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.streams import is_spoilt, opened
 
-#: What is recorded: topic, type, quality of service.
+#: Recorded topics: name, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'loaded_program': (msg.LoadedProgram, qos.LOADED),
     'setup_table': (msg.SetupTable, qos.LOADED),
@@ -42,8 +42,8 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
 }
 #: Topics whose messages end with a checksum.
 SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
-PARAMETER = 'parameter.'  #: Before the parameters of the nodes, in the custom data of a bag.
-NOTED = 'noted.json'  #: The custom data of a bag that is not closed yet.
+PARAMETER = 'parameter.'  #: Prefix of node parameters in the custom data of a bag.
+NOTED = 'noted.json'  #: File with the custom data of a bag that is not closed yet.
 ENDLESS = interfaces.QosTime(2147483647, 4294967295)
 
 
@@ -53,7 +53,7 @@ def type_name(kind: Any) -> str:
 
 
 def types() -> Any:
-    """Return the message types that a bag describes; the package's own are among them."""
+    """Return the message types that a bag describes, together with those of this package."""
     store = get_typestore(Stores.ROS2_JAZZY)
     try:
         folder = small_files.share_directory('cnc_interp_msgs') / 'msg'
@@ -66,7 +66,7 @@ def types() -> Any:
 
 
 def offered(profile: QoSProfile) -> interfaces.Qos:
-    """Describe a quality of service, so that a player offers the same."""
+    """Describe a quality of service for the metadata, so that a player offers the same."""
     return interfaces.Qos(
         interfaces.QosHistory.KEEP_LAST,
         profile.depth,
@@ -81,12 +81,12 @@ def offered(profile: QoSProfile) -> interfaces.Qos:
 
 
 def refuse_existing(path: Path) -> None:
-    """Reject to write a bag where something is; raises InterpError."""
+    """Raise InterpError if something already exists at the path of a new bag."""
     if path.exists():
         raise InterpError(f'{path} is there already; name a new folder for the bag')
 
 
-LOST_AT_MOST = 1_000_000_000  #: What a recorder that is killed has not stored yet [ns].
+LOST_AT_MOST = 1_000_000_000  #: Longest time that is lost if the recorder is killed [ns].
 
 
 class BagWriter:
@@ -96,7 +96,7 @@ class BagWriter:
         refuse_existing(path)
         self.count = 0
         self._path, self._noted = path, dict[str, str]()
-        self.fault: OSError | None = None  #: Why nothing more is written.
+        self.fault: OSError | None = None  #: Error after which nothing more is written.
         self._stored_at = 0  # stamp [ns] up to which all is in the file
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -116,7 +116,7 @@ class BagWriter:
         self.keep({f'{PARAMETER}{node}.{k}': json.dumps(v) for k, v in parameters.items()})
 
     def keep(self, noted: dict[str, str]) -> None:
-        """Write custom data: into the bag when it is closed, and beside it until then."""
+        """Store custom data: beside the bag at once, and in the bag when it is closed."""
         self._noted |= noted
         for name, value in noted.items():
             self._writer.set_custom_data(name, value)
@@ -155,7 +155,7 @@ class BagWriter:
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the files of a bag; all are files, and its metadata are YAML without references."""
+    """Return the files of a bag; raise unless all are regular files with plain YAML metadata."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     files = [file for file in files if file.suffix in ('.mcap', '.db3', '.yaml', '.zstd')]
     for file in files:
@@ -175,7 +175,7 @@ def why(fault: Exception) -> str:
 
 
 class SpooledMessages(Sequence[Any]):
-    """Messages in a file, each read when it is asked for."""
+    """Messages in a temporary file; each is read when needed."""
 
     def __init__(
         self,
@@ -201,7 +201,7 @@ class SpooledMessages(Sequence[Any]):
 
 
 class Bag:
-    """A bag being read; raises InterpError if it cannot be read, also while reading."""
+    """A bag opened for reading; opening and reading raise InterpError if it is damaged."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -226,7 +226,7 @@ class Bag:
             raise InterpError(f'{path}: not a bag that can be read ({reason})') from None
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
-        """Yield topic, time [ns] and bytes of the messages of some topics in order of time."""
+        """Yield topic, time [ns] and bytes of the messages of some topics, ordered by time."""
         names = {f'/{topic.removeprefix("/")}': topic for topic in topics}
         reader = self._reader
         assert reader is not None
@@ -243,26 +243,26 @@ class Bag:
         return list(self.messages(topic))
 
     def machine(self, other: str | None = None) -> str:
-        """Return the machine of the nodes, or the other one that the user names."""
+        """Return the machine of the nodes, unless the user names another one."""
         name = other or str(self.parameters.get('machine_node.machine', ''))
         if not name:
             raise InterpError(f'{self.path}: does not name the machine; name it with --machine')
         return name
 
     def messages(self, topic: str) -> Iterator[Any]:
-        """Yield all sound messages of a topic, one at a time."""
+        """Yield all valid messages of a topic, one at a time."""
         sound = (self.sound(topic, data) for _, _, data in self.raw(topic))
         return (message for message in sound if message is not None)
 
     def sound(self, topic: str, data: bytes) -> Any:
-        """Return a message; None if it was damaged on the wire, and was sent again."""
+        """Return a message; None if it was damaged in transit (it was then resent)."""
         try:
             return self.message(topic, data)
         except StreamError:
             return None
 
     def spooled(self, topic: str) -> SpooledMessages:
-        """Return all sound messages of a topic, in a temporary file."""
+        """Return all valid messages of a topic, stored in a temporary file."""
         file, ends = tempfile.TemporaryFile(), array('q', [0])  # noqa: SIM115
         try:
             for _, _, data in self.raw(topic):
@@ -278,7 +278,7 @@ class Bag:
     def message(self, topic: str, data: bytes) -> Any:
         """Return a message.
 
-        Raises StreamError if its checksum is wrong. Raises InterpError if it is none of this
+        Raises StreamError if its checksum is wrong, and InterpError if it is not a message of this
         topic.
         """
         kind = TOPICS[topic][0]
@@ -308,7 +308,7 @@ class Bag:
 
 
 def repair(path: Path, out: Path) -> tuple[int, float]:
-    """Write what a bag holds whose recorder was killed as a sound one.
+    """Write a valid bag with the messages of a bag whose recorder was killed.
 
     Returns
     -------
@@ -343,7 +343,7 @@ def repair(path: Path, out: Path) -> tuple[int, float]:
 
 
 def _whole_records(file: Path) -> Iterator[Any]:
-    """Yield the records of a file up to its end, or to the first that is not whole."""
+    """Yield the records of a file up to its end, or up to the first incomplete one."""
     from mcap.stream_reader import StreamReader
 
     with file.open('rb') as stream:

@@ -1,8 +1,8 @@
-"""What the machine executed in a run, compared with everything else that its record says.
+"""Compare the executed setpoints of a run with everything else in its record.
 
 Every executed setpoint must be, bit for bit, the next one that was sent to the machine, or the
-next one of the stop tail of the chunk before it. Motion by hand, at a hold or after a stop, is
-exempt: nobody sent it, and its limits are judged on their own.
+next one of the stop tail of the preceding chunk. Motion by hand, at a hold or after a stop, is
+exempt: it was not sent as setpoints, and its limits are checked separately.
 """
 
 from bisect import bisect_right
@@ -23,22 +23,23 @@ from cnc_interp.wire.run_messages import run_id_of
 
 #: Chunks after which the machine waits for cycle_start.
 OPERATOR_WAITS = (SetpointChunk.PROGRAM_STOP, SetpointChunk.OPTIONAL_STOP, SetpointChunk.APPROACH)
-#: The axes pass the place of a contact in that period, up to their acceleration in it [m, rad].
+#: Tolerance of the place of a contact: the acceleration within its period [m, rad].
 AT_CONTACT = 1e-6
 S, BLOCK, LINE = -3, -2, -1  #: Columns of ``rows_of``.
-#: A plan follows the overrides that were told in this time before each of its setpoints [s].
+#: A plan must follow overrides reported within this time before its setpoints [s].
 OBEYED = 1.5
 
 
 class Follower:
-    """Follows executed setpoints through what was sent; ``faults`` has one for each plan."""
+    """Matches executed setpoints with the sent ones; ``faults`` holds at most one per plan."""
 
     def __init__(self, sent: SentSetpoints):
         self._sent = sent
         self.faults: list[str] = []
-        self.run_id = NO_RUN  #: The plan that is executed.
-        self.count = 0  #: Executed setpoints.
-        self.waits: list[int] = []  #: Executed setpoints after which cycle_start was waited for.
+        self.run_id = NO_RUN  #: Plan being executed.
+        self.count = 0  #: Number of executed setpoints.
+        #: Numbers of executed setpoints after which the machine waited for cycle_start.
+        self.waits: list[int] = []
         self.ended = False  #: Whether the last setpoint is the end of the program.
         self._number = 0  # of the next setpoint of the plan
         self._tail: FloatArray | None = None  # what is left of the stop tail
@@ -73,7 +74,7 @@ class Follower:
         self._tail, self._by_hand, self._lost = None, False, False
 
     def _close(self) -> None:
-        """Demand that the plan before was left at rest, after the whole of a stop tail."""
+        """Check that the preceding plan was left at rest, after a complete stop tail."""
         if not self._lost and (not self._rests or (self._tail is not None and len(self._tail))):
             self._fault('was left in motion')
 
@@ -84,7 +85,7 @@ class Follower:
             self._fault('did not reach the end that was sent')
 
     def _step(self, rows: FloatArray) -> int:
-        """Return how many setpoints could be followed; 0 where something else is tried next."""
+        """Return how many setpoints were matched; 0 if another alternative is tried next."""
         if self._by_hand:
             by_hand = rows[:, BLOCK] == 0
             count = len(rows) if by_hand.all() else int(np.argmin(by_hand))
@@ -127,7 +128,7 @@ class Follower:
 
 
 def _leading(rows: FloatArray, expected: FloatArray) -> int:
-    """Return how many rows, from the first on, are as expected."""
+    """Return the number of leading rows that are as expected."""
     n = min(len(rows), len(expected))
     if rows.shape[1] != expected.shape[1]:
         return 0
@@ -136,7 +137,7 @@ def _leading(rows: FloatArray, expected: FloatArray) -> int:
 
 
 def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
-    """Compare what was executed with what was sent, and with all that the machine said of it."""
+    """Compare executed setpoints with the sent ones and with the reports of the machine."""
     sent = run.sent
     follower, told = Follower(sent), ToldStates(bag, run)
     feedback = FeedbackRecord(bag, run)
@@ -155,7 +156,7 @@ def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
 
 
 class ToldStates:
-    """States of the machine: each must say what was executed by then, and of each stop."""
+    """States of the machine; each must agree with the setpoints executed by then."""
 
     def __init__(self, bag: Bag, run: RecordedRun):
         states = [m for m in bag.messages('machine_state') if m.program_id == run.program_id]
@@ -180,7 +181,7 @@ class ToldStates:
         self._wrong: list[str] = []
 
     def compare(self, count: int, rows: FloatArray, axes: int) -> None:
-        """Compare the states that were told while some setpoints were executed."""
+        """Compare the states that were reported while some setpoints were executed."""
         for block, number in zip(*self._changes(rows[:, BLOCK], count), strict=True):
             if self._block > 0:
                 crossed = [stop for stop in self._stops if self._block <= stop < block]
@@ -203,7 +204,7 @@ class ToldStates:
                 self._wrong.append(f'{text} the axes were commanded to')
 
     def compare_overrides(self, count: int, rows: FloatArray, plan: OperatorSettings) -> None:
-        """Demand that the plan follows overrides that were told not long before."""
+        """Check that the plan follows overrides that were reported shortly before."""
         first = max(bisect_right(self._told_at, count - self._obeyed) - 1, 0)
         last = bisect_right(self._told_at, count + len(rows))
         told = self._told[first:last]
@@ -244,7 +245,7 @@ class ToldStates:
 
 
 class FeedbackRecord:
-    """Where the axes were: a row for each executed setpoint, and the places of contacts."""
+    """Actual positions: a row for each executed setpoint, and the places of contacts."""
 
     def __init__(self, bag: Bag, run: RecordedRun):
         mine = bag.spooled('axis_feedback').where(lambda m: m.program_id == run.program_id)
@@ -287,7 +288,7 @@ class FeedbackRecord:
 
 
 def _distance(way: FloatArray, point: FloatArray) -> float:
-    """Return the largest distance of a coordinate from the nearest place of a polyline."""
+    """Return the largest coordinate distance from the nearest place of a polyline."""
     step = np.diff(way, axis=0, append=way[-1:])
     length = np.maximum((step**2).sum(axis=1), 1e-300)
     share = np.clip(((point - way) * step).sum(axis=1) / length, 0.0, 1.0)
@@ -295,7 +296,7 @@ def _distance(way: FloatArray, point: FloatArray) -> float:
 
 
 def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
-    """Compare the functions that travelled with segments and setpoints with the program's."""
+    """Compare the functions sent with segments and setpoints with those of the program."""
     sent = [function for block in run.blocks for function in block.functions]
     topics = {
         'segments': iter(run.segments),
@@ -321,7 +322,7 @@ def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[s
 
 
 def _faults_of_program(bag: Bag, run: RecordedRun) -> list[str]:
-    """Compare the program that was said to be loaded with the blocks that were sent."""
+    """Compare the program announced as loaded with the blocks that were sent."""
     loaded = [m for m in bag.messages('loaded_program') if m.program_id == run.program_id]
     if not loaded:
         return ['the record has no loaded_program of the run; record from before the start']

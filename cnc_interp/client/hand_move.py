@@ -1,4 +1,4 @@
-"""By hand from the command line: a move, homing, lines (MDI); each is waited for and told."""
+"""Motion by hand from the command line: moves, homing and MDI lines, each with its result."""
 
 import math
 import time
@@ -18,9 +18,9 @@ from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Axis, Machine, place_text
 
 PATIENCE = 10.0  #: Longest wait for the nodes [s].
-CERTAIN = 20  #: Homing is not under way where the machine says so many times that it rests.
+CERTAIN = 20  #: Homing is not in progress after this many states in which the machine rests.
 POSE = 'XYZIJK'  #: Letters of a pose: the tool tip in the workpiece, then the tool axis.
-THERE = 1e-6  #: Nearer than this to its target, a move has arrived [m, rad].
+THERE = 1e-6  #: A move this near to its target has arrived [m, rad].
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Ended:
 
 
 def pose_request(values: dict[str, float], speed: float, length: float = MM) -> MoveAxes.Request:
-    """Return the request that moves the tool to a pose; what is not named stays as it is."""
+    """Return the request to move the tool to a pose; letters not named keep their value."""
     request = MoveAxes.Request(speed=speed)
     request.tip = [values.get(name, math.nan) * length for name in POSE[:3]]
     if set(values) & set(POSE[3:]):
@@ -86,7 +86,7 @@ def move_by_hand(
 
 
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
-    """Home axes, all where none is named; return those that are not. InterpError if rejected."""
+    """Home axes, by default all; return those still not homed. InterpError if refused."""
     with connected('home', namespace, domain, lambda one: one.offers('home')) as (client, machine):
         client.granted(client.ask('home', axes=list(axes)))
         wanted = set(axes or machine.homing.switches)
@@ -144,11 +144,11 @@ def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
 
 
 PER_TURN = 1e-3  #: Unit of the feedrate with G95, as it is shown [m].
-MOST = 100  #: Lines that are remembered.
+MOST = 100  #: Number of lines that are remembered.
 
 
 class LineHistory:
-    """The lines given, the last one first, shared by all pages."""
+    """The lines entered so far, latest first, shared by all pages."""
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque(maxlen=MOST)
@@ -158,7 +158,7 @@ class LineHistory:
             self._lines.appendleft(line)
 
     def at(self, age: int) -> tuple[int, str]:
-        """Return the line of an age, and that age, limited to what there is; empty for -1."""
+        """Return the line of an age, and the age after limiting it; an empty line for -1."""
         age = max(-1, min(age, len(self._lines) - 1))
         return age, self._lines[age] if age >= 0 else ''
 
@@ -197,7 +197,10 @@ class LineEnd:
 
 
 def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:
-    """Have lines executed until one is rejected; yield their ends, or the modal state without."""
+    """Execute lines until one is refused, and yield their results.
+
+    Without lines, yield the modal state.
+    """
     with connected('mdi', namespace, domain, lambda one: not one.silent and bool(one.modes)) as (
         client,
         machine,

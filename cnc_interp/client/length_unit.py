@@ -1,24 +1,24 @@
-"""Units in which people read positions and feeds: millimetres, or inches on a page."""
+"""Units in which positions and feeds are shown: millimetres, or inches on a page."""
 
 from dataclasses import dataclass
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM
 
-LINEAR = 'XYZUVW'  #: Letters of linear axes; what other letters name is an angle.
+LINEAR = 'XYZUVW'  #: Letters of linear axes; all others are rotary.
 
 
 @dataclass(frozen=True)
 class LengthUnit:
-    """A unit of lengths. Angles are in degrees with either unit."""
+    """A unit of length; angles are always in degrees."""
 
     name: str
     size: float  #: [m]
-    #: Decimals of a position, and of a feed.
+    #: Number of decimals of a position, and of a feed.
     digits: int
     feed_digits: int
     #: Speeds of motion by hand in this unit or degrees per minute, slow to fast.
     speeds: tuple[str, ...]
-    steps: tuple[str, ...]  #: Its steps in this unit or degrees.
+    steps: tuple[str, ...]  #: Jog steps in this unit or degrees.
 
     def of(self, letter: str) -> float:
         return self.size if letter in LINEAR else DEG
@@ -40,7 +40,7 @@ class LengthUnit:
         return f'{self.per_minute(speed):.{self.feed_digits}f}'
 
     def named(self, text: str) -> str:
-        """Return a text that names mm with this unit in its place."""
+        """Return a text with mm replaced by this unit."""
         return text.replace('mm', self.name)
 
 

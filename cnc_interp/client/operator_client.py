@@ -1,4 +1,4 @@
-"""The operator's end of the ROS interface: hears the nodes, sends programs and commands."""
+"""The operator's end of the ROS interface: listens to the nodes, sends programs and commands."""
 
 import math
 import threading
@@ -40,7 +40,7 @@ from cnc_interp.run.overrides import OVERRIDES
 __all__ = ['STOPS', 'SWITCHES', 'Answer', 'MachineState', 'OperatorClient']
 
 SWITCHES = ('single_block', 'optional_stop')  #: Stop at the end of each line; stop at M1.
-#: The commands: services of these names, and who offers those that the machine does not.
+#: Commands: names of their services, with the node for those that the machine does not offer.
 SERVICES = {
     **dict.fromkeys(('cycle_start', 'feed_hold', 'reset', 'emergency_stop'), Trigger),
     **dict.fromkeys(SWITCHES, SetBool),
@@ -56,16 +56,16 @@ OFFERED_BY = {
     'optional_stop': 'feedrate_node',
     **dict.fromkeys(('set_offset', 'set_tool', 'touch_off'), 'program_node'),
 }
-#: Commands that may arrive twice or late. They are sent again until they are answered.
+#: Commands that may safely arrive twice or late; they are resent until answered.
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
-CALM = 1.0  #: Longest wait for an event of a thread from which nobody waits for an answer [s].
+CALM = 1.0  #: Longest wait for an event while no answer is awaited [s].
 ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
 
 
 class SharedValue:
-    """The last value heard on a topic; one sent from here counts until heard, or ``patience``."""
+    """The latest value on a topic; one sent from here holds until heard, or for ``patience``."""
 
     def __init__(self, value: float, patience: float):
         self._heard, self._patience = value, patience
@@ -73,7 +73,7 @@ class SharedValue:
         self._until = 0.0
 
     def wish(self, value: float, now: float) -> None:
-        """Record a value that is sent from here at the time ``now`` [s]."""
+        """Record a value sent from here at the time ``now`` [s]."""
         if now >= self._until:
             self._wishes.clear()
         if value != self.at(now):
@@ -124,7 +124,7 @@ class OperatorClient(ServedNode):
         self.prepared: float | None = None  # share of what the program waits for
         self.waits_for = ''  # what that is, in words
         self.tool_wanted: int | None = None  # the tool that the operator must put in
-        #: Distance of the tool tip from the end of its line, where a single block rests [m].
+        #: Distance of the tool tip from the end of its line after a single block [m].
         self.off_line_end: float | None = None
         self.uncompensated: float | None = None  # largest contour error of this run [m]
         self.program: LoadedProgram | None = None
@@ -132,10 +132,10 @@ class OperatorClient(ServedNode):
         self.active_modes: ModalState | None = None  # of the block that is executed
         self.signals: MachineSignals | None = None  # outputs and inputs of the machine
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
-        #: Names of two bodies that hit each other or would, and the sentence; by who says it.
+        #: Names of two bodies that (would) hit each other, and a sentence, by reporting node.
         self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
         self.machine = self.scene = self.setup_file = ''
-        self.stock = ''  #: What the run has cut off the stock of its scene.
+        self.stock = ''  #: Text about the stock removed in the run, if its scene has a stock.
         self._on_state = on_state
         watch_machine(node, self._see_state)
         for kind, topic, name in (
@@ -169,7 +169,7 @@ class OperatorClient(ServedNode):
         return self.peers.state
 
     def silent_for(self, patience: float) -> str:
-        """Return the name of a node that has not been heard for so long [s]; empty if none."""
+        """Return the name of a node that has been silent for this time [s]; empty if none."""
         missing = self.peers.missing(time.monotonic(), patience)
         return missing if missing or self.takes_programs else 'program_node'
 
@@ -190,7 +190,7 @@ class OperatorClient(ServedNode):
         self._on_state(state)
 
     def _see_alarms(self, array: DiagnosticArray) -> None:
-        """Store alarms, waiting programs, how far the next one is checked, errors."""
+        """Store alarms, waiting programs, the progress of the next one's check, and errors."""
         for status in array.status:
             if status.hardware_id != self.namespace:
                 continue
@@ -238,7 +238,7 @@ class OperatorClient(ServedNode):
     def run(
         self, goal: RunProgram.Goal, on_result: Callable[[RunProgram.Result], None] | None = None
     ) -> SentProgram:
-        """Send a program, in the thread that serves the node; it starts after those before it."""
+        """Send a program from the thread that serves the node; it starts after earlier ones."""
         sent = SentProgram(self._action, goal, len(self._sent))
         self._sent.append(sent)
 
@@ -259,7 +259,7 @@ class OperatorClient(ServedNode):
         goal: RunProgram.Goal,
         on_result: Callable[[RunProgram.Result], None] = lambda _: None,
     ) -> Future[Answer]:
-        """Send a program from any thread. Answered when it is accepted; its end is an alarm."""
+        """Send a program from any thread; return when it is accepted. Its end becomes an alarm."""
 
         def see_result(result: RunProgram.Result) -> None:
             good = result.code == RunProgram.Result.SUCCEEDED
@@ -318,10 +318,10 @@ class OperatorClient(ServedNode):
         return len(found)
 
     def ask(self, name: str, request: Any = None, **fields: Any) -> Future[Answer]:
-        """Call a service; a stop is sent again until it is answered.
+        """Call a service; a stop is resent until it is answered.
 
-        All else is sent once, and when its node has just answered a question: a node that has not
-        yet found this client would act, and its answer would be lost.
+        All other requests are sent once, right after their node has answered a question. A node
+        that has not yet discovered this client would act, but its answer would be lost.
         """
         wanted: Future[Answer] = Future()
         client, request = self._services[name], request or SERVICES[name].Request(**fields)

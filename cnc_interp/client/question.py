@@ -1,8 +1,8 @@
-"""What is sent again until it is answered: requests to services, and programs.
+"""Requests that are resent until they are answered: calls of services, and programs.
 
-A node drops an answer if it heard of the request before it knew where answers are read; one that
-was killed never answers. A goal keeps its id, so it cannot run twice. Its result is asked for
-again, too: the node that is there now may not know the goal, and says so.
+An answer is lost if a node received the request before it had discovered the reader of answers,
+and a killed node never answers. A goal keeps its id, so it cannot run twice. Its result is
+requested repeatedly too, because a restarted node may not know the goal and then says so.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import Any
 from cnc_interp_msgs.action import RunProgram
 from unique_identifier_msgs.msg import UUID
 
-#: Time without an answer after which a request is sent again, unless told otherwise [s].
+#: Default time without an answer after which a request is resent [s].
 AGAIN = 0.5
 
 
@@ -26,7 +26,7 @@ class Question:
         self._sent_at = -math.inf
 
     def answer(self) -> Any | None:
-        """Return the response; None while there is none. To be called again and again."""
+        """Return the response, or None so far; to be called repeatedly."""
         for future in self._sent:
             if future.done():
                 self.drop()
@@ -43,13 +43,13 @@ class Question:
             self._client.remove_pending_request(future)
 
 
-GOAL_AGAIN = 1.0  #: Time without an answer after which a goal is sent again [s].
-#: Longest time between two questions for its result [s]: a node keeps it for ten seconds.
+GOAL_AGAIN = 1.0  #: Time without an answer after which a goal is resent [s].
+#: Longest time between two requests for its result [s]; a node keeps results for ten seconds.
 SELDOM = 8.0
 
 
 class SentProgram:
-    """A goal of ``run_program`` and what has been heard about it."""
+    """A goal of ``run_program``, with the answers received so far."""
 
     def __init__(self, client: Any, goal: RunProgram.Goal, ahead: int = 0):
         self.goal, self._ahead = goal, ahead
@@ -71,9 +71,10 @@ class SentProgram:
         self.feedback = message.feedback
 
     def follow(self) -> None:
-        """Read an answer, or send the goal or the question for its result again; to be repeated.
+        """Read an answer, or resend the goal or the request for its result; call repeatedly.
 
-        A second answer says "not accepted", because the first one runs. So the first counts.
+        A second copy of the goal is answered "not accepted", because the first one runs. So only
+        the first answer counts.
         """
         now = time.monotonic()
         if self.handle is not None:

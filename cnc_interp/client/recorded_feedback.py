@@ -1,4 +1,4 @@
-"""Setpoints and feedback of the last run in a bag, and what a compensated one teaches."""
+"""Setpoints and feedback of the last run in a bag, and learning from a compensated run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +21,9 @@ class RecordedFeedback:
     setpoint: FloatArray
     rate: FloatArray
     feedback: FloatArray
-    block: IntArray  #: (K,): Block of each setpoint; 0 beside the program.
+    block: IntArray  #: (K,): Block of each setpoint; 0 outside the program.
     plan: IntArray  #: (K,): Number of the plan of each setpoint.
-    complete: bool  #: Whether the last setpoint is that of the end of the program.
+    complete: bool  #: Whether the last setpoint ends the program.
     program_id: str  #: The run.
 
 
@@ -69,9 +69,9 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
     ), loaded
 
 
-#: States of a run that continues without a stop.
+#: States of a run that proceeds without a stop.
 ON_ITS_WAY = (MachineState.IDLE, MachineState.RUNNING)
-NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of the machine node that count.
+NAMES = ('machine', 'compensation', 'learnt')  #: Relevant parameters of the machine node.
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class Lesson:
 def recorded_lesson(bag: Bag) -> Lesson:
     """Learn from the last run in a bag.
 
-    Raises InterpError if the run was not compensated, or its setpoints are not those of the plan
-    in one piece.
+    Raises InterpError if the run was not compensated, or if it did not execute the plan in one
+    piece.
     """
     told = {name: str(bag.parameters.get(f'machine_node.{name}', '')) for name in NAMES}
     name, model, learnt = (told[key] for key in NAMES)

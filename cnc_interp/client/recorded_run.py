@@ -1,4 +1,4 @@
-"""A run as it was on the wire: blocks, segments and executed setpoints -> plan files."""
+"""A recorded run (blocks, segments and executed setpoints), and its conversion to plan files."""
 
 import copy
 from collections.abc import Iterable, Iterator, Sequence
@@ -42,10 +42,10 @@ from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import setpoints_from
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
-BATCH = 256  #: Segments taken over together.
-#: The way down to a lower override begins within this time after the plan has joined [s].
+BATCH = 256  #: Number of segments converted together.
+#: Time after a join within which slowing down to a lower override begins [s].
 STOPS_WITHIN = 0.05
-#: Number of setpoints per grid point of the path, and shortest cell made in this way [m].
+#: Number of setpoints per grid point of the path, and shortest cell made from them [m].
 GRID_EVERY, SHORTEST = 10, 1e-6
 
 
@@ -53,16 +53,16 @@ GRID_EVERY, SHORTEST = 10, 1e-6
 class RecordedRun:
     program_id: str  #: The run.
     name: str  #: Name of the program.
-    machine: str  #: Machine that the nodes were started with; empty where the bag does not say.
+    machine: str  #: Machine with which the nodes were started; empty if the bag does not say.
     blocks: list[G1Block]  #: The program, gap-free from the start pose.
     segments: list[PathSegment]  #: The smoothed path, gap-free from its first segment.
-    #: What the machine executed; a run may be longer than the memory.
+    #: Executed setpoints, in a file because a run may exceed the memory.
     chunks: Sequence[SetpointChunk]
-    sent: SentSetpoints  #: What was sent to the machine.
-    #: Offsets and tools that it started with, as the text of a setup file; empty for none.
+    sent: SentSetpoints  #: Setpoints sent to the machine.
+    #: Offsets and tools at its start, as the text of a setup file; may be empty.
     setup: str = ''
-    followed: Sequence[FollowedSpindle] = ()  #: What was in step with the spindle.
-    probed: int = 0  #: Source line that ended where the probe answered; 0: none.
+    followed: Sequence[FollowedSpindle] = ()  #: Motion in step with the spindle.
+    probed: int = 0  #: Source line that was ended by the probe; 0 if none.
     #: Number of executed setpoints after which the operator held the machine for good, or -1.
     held_at: int = -1
 
@@ -76,12 +76,12 @@ class RecordedRun:
 
     @property
     def cut(self) -> str:
-        """Where the record ends before the program does, in words; empty for a whole record."""
+        """Text that says where the record ends early; empty if it is complete."""
         return self._order[1]
 
     @cached_property
     def _order(self) -> tuple[list[int], str]:
-        """Return the chunks in order, up to the first that is missing, and how the record ends."""
+        """Return the chunks in order, up to the first missing one, and how the record ends."""
         order: list[int] = []
         following, ended = 0, False
         last = next((chunk for chunk in self.chunks if len(chunk.sequences)), self.chunks[0])
@@ -108,16 +108,16 @@ class RecordedRun:
 
     @property
     def settings(self) -> Settings:
-        """Settings of the run, as its block 0 carries them."""
+        """Settings of the run, taken from its block 0."""
         settings = settings_of_block(self.blocks[0], Settings())
         return replace(settings, interpolation_period=self.period)
 
     def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
-        """Yield what was executed of the program; time counts from its start.
+        """Yield the executed setpoints of the program; time counts from its start.
 
-        The approach is left out, and the way by hand away from a hold and back.
+        The approach is left out, and so are motions by hand away from a hold and back.
 
-        Raises InterpError if a message is not sound, or the period changes.
+        Raises InterpError if a message is invalid, or if the period changes.
         """
         count = 0
         for part in self._executed(machine):
@@ -128,7 +128,7 @@ class RecordedRun:
                 count += len(rows)
 
     def beside(self, machine: Machine) -> list[FloatArray]:
-        """Return the positions beside the program, from rest to rest, (K, n_axes) [m, rad]."""
+        """Return the motions outside the program, from rest to rest, (K, n_axes) each [m, rad]."""
         stretches: list[list[FloatArray]] = []
         before, inside = np.zeros((0, len(machine.axis_names))), True
         for part in self._executed(machine):
@@ -146,7 +146,7 @@ class RecordedRun:
         return [np.concatenate(stretch) for stretch in stretches]
 
     def executed(self) -> Iterator[SetpointChunk]:
-        """Yield what was executed, in order, up to the first chunk that is missing."""
+        """Yield the executed chunks in order, up to the first missing one."""
         return map(self.chunks.__getitem__, self._order[0])
 
     def _executed(self, machine: Machine) -> Iterator[Setpoints]:
@@ -162,10 +162,10 @@ class RecordedRun:
                 yield setpoints_from(chunk)
 
     def overrides(self) -> list[OverrideStep]:
-        """Return the overrides that counted for the setpoints of the program.
+        """Return the overrides that were in effect for the setpoints of the program.
 
-        They are those of the plan. A plan that joins a faster one in motion may first slow down
-        on the path, up to where that could have stopped.
+        They are those of each plan. A plan that joins a faster one in motion may first slow down
+        on the path, up to the place where the faster plan could have stopped.
         """
         steps: list[OverrideStep] = []
         slowing: list[tuple[float, FloatArray]] = []  # up to which place, and what counted before
@@ -192,9 +192,9 @@ class RecordedRun:
         return steps
 
     def functions(self, machine: Machine) -> tuple[Functions, IntArray]:
-        """Return the functions of the program, and the setpoints with which they came.
+        """Return the functions of the program, and the setpoints at which they acted.
 
-        Raises InterpError if one came out twice, or as another one.
+        Raises InterpError if one acted twice, or if another one acted in its place.
         """
         sent = [function for block in self.blocks for function in block.functions]
         messages.check_functions('blocks', sent, machine.signals)
@@ -219,7 +219,7 @@ class RecordedRun:
                 yield path
 
     def start_row(self, machine: Machine, blocks: Blocks) -> int:
-        """Return the row that begins nearest to the end of the approach; 1: from the top."""
+        """Return the row that begins nearest to the end of the approach; 1 at the top."""
         settings, first = self.settings, self.blocks[0]
         if not settings.from_line:
             return 1
@@ -272,15 +272,15 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
 
 
 def ended_by_operator(state: MachineState) -> bool:
-    """Return whether the machine rests in a run that the operator has held or stopped."""
+    """Return whether the operator has held or stopped a run, and the machine rests in it."""
     stopped = state.state == MachineState.FAULT and state.reason == state.REASON_EMERGENCY_STOP
     return (state.state == MachineState.HELD or stopped) and not state.completed
 
 
 def programs_of(bag: Bag) -> list[list[str]]:
-    """Return the runs of each program in which the machine moved, by their ids, in order.
+    """Return the ids of all runs in which the machine moved, in order, grouped by program.
 
-    A program with probes has a run for each part: a part ends with the line of a probe.
+    A program with probes has one run per part; each part ends with the line of a probe.
     """
     probing = {
         block.program_id
@@ -301,7 +301,7 @@ def programs_of(bag: Bag) -> list[list[str]]:
 
 
 def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
-    """Return the messages of an attempt at a run in order, each once."""
+    """Return the messages of one attempt at a run, in order and without repeats."""
     sent: Iterable[Any]
     if stream == 'blocks':
         sent = chain(bag.read(stream), *map(messages.blocks_of, bag.read('block_batches')))
@@ -318,7 +318,7 @@ def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
 
 
 def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, Any]:
-    """Write the plan files of a run from what was on the wire, and return the summary."""
+    """Write the plan files of a recorded run, and return the summary."""
     if next(run.setpoints(machine), None) is None:
         raise InterpError(f'{run.name}: the record ends before the program begins')
     way = ExecutedWay(run.setpoints(machine), run.period)
@@ -352,14 +352,14 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
 
 
 class ExecutedWay:
-    """The executed positions on the path, those beside one part of it at a time."""
+    """The executed path positions, held for one part of the path at a time."""
 
     def __init__(self, setpoints: Iterator[Setpoints], period: float):
         self._setpoints, self._period = setpoints, period
         self._s, self._first = np.zeros(0), 0  # positions, and number of the first one
 
     def advance(self, first: float, last: float) -> None:
-        """Take the setpoints of a part of the path [m], and two beside each of its ends."""
+        """Advance to the setpoints of a part of the path [m], with two more beyond each end."""
         before = max(int(np.searchsorted(self._s, first)) - 2, 0)
         parts, beyond = [self._s[before:]], int(np.count_nonzero(self._s[before:] > last))
         while beyond < 2 and (part := next(self._setpoints, None)) is not None:
@@ -368,7 +368,7 @@ class ExecutedWay:
         self._s, self._first = np.concatenate(parts), self._first + before
 
     def some(self) -> FloatArray:
-        """Return the position of every ``GRID_EVERY``-th setpoint [m]."""
+        """Return the path position of every ``GRID_EVERY``-th setpoint [m]."""
         return self._s[-self._first % GRID_EVERY :: GRID_EVERY]
 
     def feed(self, s: FloatArray) -> FloatArray:
@@ -381,7 +381,7 @@ class ExecutedWay:
 
 
 def grid_points(path: AxisPath, s: FloatArray) -> FloatArray:
-    """Return the positions [m] that are far enough from ends of cells and from each other."""
+    """Return the positions [m] that are far enough from cell ends and from each other."""
     s = s[(s > path.s[0]) & (s < path.s[-1])]
     s = s[np.diff(s, prepend=-np.inf) > SHORTEST]
     after = np.searchsorted(path.s, s)

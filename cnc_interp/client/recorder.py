@@ -1,8 +1,9 @@
 """Records the messages of a run into a bag, with the parameters of its nodes.
 
-Both ends are handshakes with every node. Parameters are asked for after the topics were subscribed
-to: a node that answers knows the subscriptions. At the end every node publishes what it has
-collected (``~/flush``); executed setpoints are counted, and a later state of the machine awaited.
+Recording begins and ends with a handshake with every node. Parameters are requested after
+subscribing to the topics, so a node that answers knows the subscriptions. At the end every node
+publishes its collected messages (``~/flush``). The recorder then counts the executed setpoints and
+awaits a later state of the machine.
 """
 
 import sys
@@ -29,7 +30,7 @@ from cnc_interp.processes.stop_signals import stop_signals
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
 
-#: Topics from which plan files are written.
+#: Topics from which plan files can be written.
 NEEDED = (
     'loaded_program',
     'blocks',
@@ -38,26 +39,26 @@ NEEDED = (
     'executed_setpoints',
     'machine_state',
 )
-#: Topics of which the bag must hold every executed setpoint.
+#: Topics on which the bag must hold every executed setpoint.
 COUNTED = {'executed_setpoints', 'axis_feedback'}
-#: Streams by topic: what is numbered, and the parts of a message: run, first number, count.
+#: Streams by topic: name of the numbered items, and how to get run, first number and count.
 NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[Any, int, int]]]]] = {
     'block_batches': ('blocks', lambda m: [(one, one.sequence, 1) for one in m.blocks]),
     'segments': ('segments', lambda m: [(one, one.sequence, 1) for one in m.segments]),
     'setpoints': ('setpoints', lambda m: [(m, m.first_sample, len(m.line_numbers))]),
 }
-#: Longest wait for the last messages [s]: what DDS has lost of them is announced every 3 s.
+#: Longest wait for the last messages [s]; DDS announces lost messages every 3 s.
 LAST_WAIT = 10.0
 
 
 class StreamRecord:
-    """Which numbers of a stream a record holds. What was sent again counts once."""
+    """The numbers of a stream that a record holds; resent items count once."""
 
     def __init__(self, topic: str):
         self.name, self._numbers = NUMBERED[topic]
         self._spans: dict[RunId, list[tuple[int, int]]] = {}
         self._joins: dict[RunId, int] = {}  # first numbers of plans that join in motion
-        #: Up to where the receiver had come when it was heard first, and last.
+        #: Number that the receiver had reached when it was first heard, and last heard.
         self._received: dict[RunId, tuple[int, int]] = {}
 
     def add(self, message: Any) -> None:
@@ -70,14 +71,14 @@ class StreamRecord:
                 self._joins[run_id] = first
 
     def acknowledge(self, status: StreamStatus) -> None:
-        """Note how far the receiver of the stream is, because the record must reach as far."""
+        """Note the number that the receiver of the stream has reached; the record needs it too."""
         run_id, reached = run_id_of(status), int(status.next_sequence)
         first, last = self._received.get(run_id, (reached, reached))
         self._received[run_id] = first, max(last, reached)
 
     @property
     def lost(self) -> int:
-        """How many are missing of each plan since it was heard of, or the receiver was."""
+        """Number of missing items of each plan, since plan or receiver was first heard."""
         lost = 0
         for run_id in self._spans.keys() | self._received.keys():
             spans = sorted(self._spans.get(run_id, []))
@@ -113,7 +114,7 @@ class Recorder:
         }
         self._known: set[str] = set()
         self._flushed: set[str] = set()
-        #: Executed setpoints that the bag holds, by topic.
+        #: Number of executed setpoints in the bag, by topic.
         self._counts = dict.fromkeys(COUNTED & set(topics), 0)
         self._streams = {topic: StreamRecord(topic) for topic in NUMBERED if topic in topics}
         self._state = b''  # the last one of the machine, serialised
@@ -165,7 +166,7 @@ class Recorder:
 
     @property
     def fault(self) -> OSError | None:
-        """Why nothing more is recorded."""
+        """Error after which nothing more is recorded."""
         return self._bag.fault
 
     def ready(self) -> bool:
@@ -179,7 +180,7 @@ class Recorder:
         return len(self._known) == len(self._parameters)
 
     def complete(self) -> bool:
-        """Request what the nodes have collected; return whether everything is recorded."""
+        """Request the collected messages of the nodes; return whether everything is recorded."""
         if self._ended is None:
             self._ended = self._node.get_clock().now()
         for node in self._missing():
@@ -190,7 +191,7 @@ class Recorder:
         return not self._missing() and whole and self._has_last_state()
 
     def _has_last_state(self) -> bool:
-        """Say whether a state of the machine after the end is recorded; states come in order."""
+        """Return whether a machine state after the end is recorded; states arrive in order."""
         if not self._state or self._ended is None:
             return 'machine_node' not in self._known
         told = deserialize_message(self._state, MachineState).header.stamp

@@ -1,7 +1,8 @@
-"""The recorder of a run, in a process of its own, which no work of the terminal delays.
+"""The recorder of a run in its own process, so that work of the terminal cannot delay it.
 
-Over one pipe the recorder says that it hears every node, and at the end that the bag is whole; the
-run says how many setpoints the bag must hold. A pipe that is closed says that the other end died.
+Over a pipe the recorder reports that it hears every node, and at the end that the bag is complete.
+The run sends the number of setpoints that the bag must hold. A closed pipe means that the other
+process has died.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ if TYPE_CHECKING:
     from cnc_interp.client.recorder import Recorder
     from cnc_interp.client.served_node import ServedNode
 
-NAME = 'recorder'  #: Of the process.
-NICENESS = -5  #: After the nodes, before all else: what it does not read in time is lost.
-SPIN = 0.05  #: Longest wait for a message [s]. The pipe is looked at after it.
-READY, WHOLE = 'ready', 'whole'  #: What the recorder says, unless it raises an error.
-#: Longest wait for the end of the record [s]: the last messages, and a slow disk.
+NAME = 'recorder'  #: Name of the process.
+NICENESS = -5  #: Priority below the nodes but above the rest, because unread messages are lost.
+SPIN = 0.05  #: Longest wait for a message before the pipe is checked [s].
+READY, WHOLE = 'ready', 'whole'  #: Messages of the recorder, unless it sends an error.
+#: Longest wait for the end of the record, with its last messages and a slow disk [s].
 LAST_WAIT = 60.0
 
 
@@ -54,7 +55,7 @@ def _live(
 
 
 def _keep(recorder: Recorder, node: ServedNode, run: Connection) -> None:
-    """Record until the run asks for the end, or has ended."""
+    """Record until the run requests the end, or until it has ended."""
     ready = False
     while recorder.fault is None and not run.poll():
         node.serve(SPIN)
@@ -74,7 +75,7 @@ def _say(run: Connection, word: object) -> None:
 
 
 class RecorderProcess:
-    """The end of the run; the recorder writes the bag ``path``."""
+    """The run's handle of the recorder process, which writes the bag ``path``."""
 
     def __init__(self, path: Path, topics: Iterable[str], namespace: str, domain: int):
         from cnc_interp.client.bag import refuse_existing
@@ -95,7 +96,7 @@ class RecorderProcess:
         recorder.close()
 
     def look(self, timeout: float = 0.0) -> None:
-        """Read what the recorder reports, and whether it still runs."""
+        """Read the messages of the recorder, and check that it still lives."""
         while self.fault is None and WHOLE not in self._said and self._pipe.poll(timeout):
             try:
                 word = self._pipe.recv()
@@ -108,7 +109,7 @@ class RecorderProcess:
                 self._said.add(word)
 
     def ready(self) -> bool:
-        """Return whether the recorder hears all nodes; raises its error if it has ended."""
+        """Return whether the recorder hears all nodes; raise its error if it has ended."""
         self.look()
         if self.fault is not None:
             raise self.fault

@@ -1,4 +1,4 @@
-"""Replay of a bag: setpoints computed again from its blocks, or its messages published again."""
+"""Replay of a bag: recompute the setpoints from its blocks, or publish its messages again."""
 
 import math
 import time
@@ -40,25 +40,27 @@ from cnc_interp.wire.path_messages import (
 )
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
-#: Topics that are published again. The streams are left out: a live machine would follow them.
+#: Topics that are published again. Streams are left out because a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
-COLUMNS = [name for name in Setpoints.declared if name != 'time']  #: Compared bit for bit.
+#: Columns that are compared bit for bit.
+COLUMNS = [name for name in Setpoints.declared if name != 'time']
 
 
 @dataclass(frozen=True)
 class Comparison:
     run_id: RunId  #: Run, attempt and plan.
-    recorded: int  #: Setpoints that were recorded.
-    #: Number of setpoints, from the first on, that are the same bit for bit, stop tails included.
+    recorded: int  #: Number of recorded setpoints.
+    #: Number of leading setpoints that agree bit for bit, stop tails included.
     same: int
-    #: Largest difference of a position [m, rad]; infinite where setpoints are missing.
+    #: Largest difference of a position [m, rad]; infinite if setpoints are missing.
     difference: float
-    joins: bool = False  #: It joined in motion, at a moment that is not in the bag.
+    #: Whether it joined in motion, at an instant that the bag does not contain.
+    joins: bool = False
     segment: int = -1  #: The first segment of the run that differs, or -1.
 
     @property
     def ok(self) -> bool:
-        """True if all setpoints that can be computed again are the same."""
+        """Whether all setpoints that can be recomputed agree."""
         return (self.joins or self.same == self.recorded) and self.segment < 0
 
     def text(self) -> str:
@@ -78,7 +80,7 @@ class Comparison:
 
 
 def compute_again(bag: Bag, machine: str | None = None) -> Iterator[Comparison]:
-    """Compute the setpoints of all runs in a bag again from its blocks, and compare."""
+    """Recompute the setpoints of all runs in a bag from its blocks, and compare them."""
     transform = Transform.of(Machine.load(bag.machine(machine)))
     recorded: dict[RunId, dict[int, dict[int, SetpointChunk]]] = {}
     for chunk in bag.messages('setpoints'):
@@ -90,7 +92,7 @@ def compute_again(bag: Bag, machine: str | None = None) -> Iterator[Comparison]:
         yield from Repetition(bag, transform, run_id, plans).compare()
 
 
-Chunks = dict[int, SetpointChunk]  #: Those of a plan by their first setpoints.
+Chunks = dict[int, SetpointChunk]  #: Chunks of a plan by their first setpoint numbers.
 
 
 class Repetition:
@@ -132,7 +134,7 @@ class Repetition:
             segment = -1
 
     def _wrong_segment(self) -> int:
-        """Return the first recorded segment that differs from the one computed again, or -1."""
+        """Return the first recorded segment that differs from the recomputed one, or -1."""
         height = self._blocks[0].flank_height
         again = segment_messages(
             PathSegments.concatenate(self._segments), self._run_id, 0, height, end=True
@@ -173,7 +175,7 @@ class Repetition:
         return planner
 
     def _stops(self) -> dict[int, Wait]:
-        """Return the blocks with M0, and those with M1 at which the setpoints have a stop."""
+        """Return the blocks with M0, and the blocks with M1 at which the setpoints stop."""
         waits = {G1Block.STOP: Wait.PROGRAM_STOP}
         optional = {
             chunk.sequences[-1]
@@ -214,9 +216,9 @@ def _all_chunks(planner: RunPlanner, recorded: list[Chunk]) -> list[Chunk]:
 
 
 def _compared(recorded: list[Chunk], again: list[Chunk]) -> tuple[int, float]:
-    """Return how many setpoints are the same, and the largest difference of a position.
+    """Return the number of equal setpoints, and the largest difference of a position.
 
-    Where a stop tail or a wait differs, the last setpoint before it counts as different.
+    If a stop tail or a wait differs, the last setpoint before it counts as different.
     """
     same, difference, alike = 0, 0.0, True
     for chunk, other in zip(recorded, again, strict=False):

@@ -18,18 +18,18 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.qos import CONTACTS
 from cnc_interp.nodes.seals import hear
 
-STEP, SMALLEST = 1e-5, 1e-9  #: Of the differences, and of a last change [m].
-SEEN = 1e-3  #: Smaller singular values than this share of the largest belong to what is not seen.
-LEAST = 4  #: Numbers that two axes have at least: two for the place of each line.
+STEP, SMALLEST = 1e-5, 1e-9  #: Step of finite differences, and largest change at convergence [m].
+SEEN = 1e-3  #: Singular values below this share of the largest count as unobservable [-].
+LEAST = 4  #: Least number of unknowns of two axes: two for the place of each line.
 ROUNDS = 20
 
 
 @dataclass(frozen=True)
 class RotaryCentres:
-    machine: Machine  #: With the new offsets.
+    machine: Machine  #: Machine with the fitted offsets.
     spread: FloatArray  #: (5, 3): Standard deviations of ``offsets`` and ``tool_offset`` [m].
-    ball: FloatArray  #: (3,): Its centre in W [m].
-    residuals: FloatArray  #: (n,): What is left of each touch [m].
+    ball: FloatArray  #: (3,): Centre of the ball in W [m].
+    residuals: FloatArray  #: (n,): Residual of each touch [m].
 
     def text(self) -> str:
         offsets = np.concatenate([self.machine.offsets, self.machine.tool_offset])
@@ -62,9 +62,9 @@ def fit_rotary_centres(
 ) -> RotaryCentres:
     """Fit the offsets of a machine to touches.
 
-    ``q`` (n, n_axes): axis positions at the contacts [m, rad]; ``reach``: radius of the ball and
-    of the probe's ball [m]; ``beyond``: centre of the latter beyond the tip in the machine file
-    [m]. Raises InterpError where the touches do not determine the axes.
+    ``q`` (n, n_axes): axis positions at the contacts [m, rad]; ``reach``: sum of the radii of the
+    ball and the probe's ball [m]; ``beyond``: distance of the probe ball's centre beyond the tip
+    in the machine file [m]. Raises InterpError if the touches do not determine the axes.
     """
     if not machine.has_rotary:
         raise InterpError('the machine has no rotary axes')
@@ -106,19 +106,20 @@ def fit_rotary_centres(
     return RotaryCentres(found, spread, ball, left)
 
 
-SLOW, ANSWERS = 2, 4  #: The slow touch among the answers of the probe in ``probe_touch``.
-PATIENCE = 2.0  #: An answer of the probe comes so long after its line, at the latest [s].
-UPRIGHT = 1e-6  #: The tool axis stands upright at the start within this [-].
+#: Index of the slow touch among the answers of ``probe_touch``, and their number.
+SLOW, ANSWERS = 2, 4
+PATIENCE = 2.0  #: Longest wait for an answer of the probe after its line [s].
+UPRIGHT = 1e-6  #: Tolerance within which the tool axis must be upright at the start [-].
 
 
 @dataclass(frozen=True)
 class BallProbing:
-    """The ball, the probe, and how it is touched; SI units."""
+    """The ball, the probe, and the parameters of touching; SI units."""
 
     ball: float  #: Diameter of the ball on the machine.
     tip: float  #: Diameter of the probe's ball.
     longer: float  #: Length of the probe beyond the tip in the machine file.
-    beside: float  #: Way between both balls before a touch.
+    beside: float  #: Gap between both balls before a touch.
     feed: float  #: Feeds of the first and of the second touch [mm/min].
     slow: float
     primary: Sequence[float]  #: Positions of the rotary axes [rad].
@@ -130,7 +131,7 @@ class BallProbing:
 
     @property
     def beyond(self) -> float:
-        """Centre of the probe's ball beyond the tip in the machine file [m]."""
+        """Distance of the probe ball's centre beyond the tip in the machine file [m]."""
         return self.longer - self.tip / 2
 
     def poses(self) -> Iterator[tuple[float, float]]:
@@ -147,7 +148,7 @@ class _Toucher:
         self._contacts.append(contact)
 
     def give(self, line: str) -> None:
-        """Have a line executed; InterpError if that fails."""
+        """Execute a line; InterpError if that fails."""
         answer = self._client.wait_for(self._client.give_line(line))
         if not answer.ok:
             raise InterpError(f'{line}: {answer.message}')
@@ -162,7 +163,7 @@ class _Toucher:
         return list(np.round((tip - zero) / MM, 6))
 
     def touch(self, line: str) -> None:
-        """Have a line with one double touch executed, and keep the place of the second one."""
+        """Execute a line with a double touch, and store the place of the second touch."""
         before = len(self._contacts)
         self.give(line)
         until = time.monotonic() + PATIENCE
@@ -184,7 +185,7 @@ def _call(name: str, *values: float) -> str:
 def probe_rotary_centres(
     wanted: BallProbing, namespace: str, domain: int | None, told: Callable[[str], None]
 ) -> tuple[RotaryCentres, str]:
-    """Touch the ball at all poses; return the geometry that fits, and the machine as it is named.
+    """Touch the ball at all poses; return the fitted geometry, and the machine as named.
 
     The probe stands upright above the ball, not farther from it than four times ``beside``. Raises
     InterpError if a touch fails, or the touches do not determine the axes.

@@ -1,4 +1,4 @@
-"""The terminal of a run: sends programs, shows progress, takes Ctrl-C and Enter, says results."""
+"""The terminal of a run: sends programs, shows progress and results, handles Ctrl-C and Enter."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from cnc_interp.program.notices import tell, warnings_of
 from cnc_interp.wire.run_messages import add_executed, goal_of
 
 Result = RunProgram.Result
-#: Longest time that the nodes may take to start [s]. All kernels may have to be compiled.
+#: Longest wait for the nodes to start, because all kernels may have to be compiled [s].
 START_TIMEOUT = 300.0
 #: Stops at which the operator is asked to continue.
 STOP_TEXTS = {
@@ -49,14 +49,14 @@ STOP_TEXTS = {
 }
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
 SILENCE = 1.0  #: Silence after which a node counts as lost [s].
-#: Silence of all nodes, which live, after which ROS stands in this process: threads of Fast DDS
-#: 2.14 may wait for each other where a participant leaves while its lease is checked [s].
+#: If all nodes live but are silent for this time, ROS is stuck in this process [s]. Threads of
+#: Fast DDS 2.14 may deadlock if a participant leaves while its lease is checked.
 DEAF = 30.0
-RECORD_TIMEOUT = 60.0  #: Longest wait until the recorder hears the nodes [s].
+RECORD_TIMEOUT = 60.0  #: Longest wait for the recorder to hear all nodes [s].
 SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked after it.
 
 
-#: Figures of a result that are reported as they are, and those with a value for each axis.
+#: Figures of a result that are reported unchanged, and figures with a value for each axis.
 AS_TOLD = (
     'message',
     'program_id',
@@ -112,10 +112,10 @@ class RunConsole:
         self._interrupted = True
 
     def run(self, machine: Machine, started: float) -> list[RunResult]:
-        """Run one program after the other, each to its end.
+        """Run the programs one after the other, each to its end.
 
-        ``started``: when the command began, in monotonic time [s]. Raises InterpError when the
-        first program was rejected before anything moved, or a node ended.
+        ``started``: monotonic time at which the command began [s]. Raises InterpError if the first
+        program is refused before anything moves, or if a node ends.
         """
         self._wait_for_nodes()
         if machine.guessed and not self._request.quiet:
@@ -160,7 +160,7 @@ class RunConsole:
         )
 
     def _wait_for_nodes(self) -> None:
-        """Wait until program_node takes programs and a recorder hears all nodes."""
+        """Wait until program_node accepts programs and the recorder hears all nodes."""
         recorder = self._recorder
         if recorder is None:
             if not self._spin(lambda: self._client.takes_programs, START_TIMEOUT):
@@ -248,7 +248,7 @@ class RunConsole:
             self._progress.show(f'running {name}', share, line, left)
 
     def _forgotten_result(self) -> RunProgram.Result:
-        """Return what is known of a run whose program_node was lost; the words are the default."""
+        """Return the known part of the result of a run whose program_node was lost."""
         result, state = Result(), self._client.state
         if state is not None:
             result.program_id = state.program_id
@@ -273,7 +273,7 @@ class RunConsole:
             self._restarted, self._pressed = not self._pressed.result().ok, None
 
     def _pass_program_stop(self) -> None:
-        """Continue after Enter at the terminal, or by the option, where the machine waits (M0)."""
+        """Continue a waiting machine (M0) after Enter at the terminal, or by the option."""
         state = self._client.state
         if (
             state is None
@@ -316,7 +316,7 @@ class RunConsole:
             self._first_motion = time.monotonic() - past
 
     def _spin(self, done: Callable[[], bool], timeout: float = float('inf')) -> bool:
-        """Serve ROS until a condition holds; raises an error if a node has ended."""
+        """Serve ROS until a condition holds; raise an error if a node has ended."""
         deadline = time.monotonic() + timeout
         while not done():
             if time.monotonic() > deadline:
@@ -352,7 +352,7 @@ def run_recorded(
     children: Children,
     started: float,
 ) -> list[RunResult]:
-    """Run programs; they are recorded also for ``out`` and for a limit of the tool error."""
+    """Run programs; ``out`` and a limit of the tool error also require a record."""
     tell(tool_warnings(machine, request.settings))
     judged = request.settings.tool_error is not None
     results: list[RunResult] = []
@@ -392,7 +392,7 @@ def written(bag: Bag, result: RunResult, machine: Machine, out: Path | None) -> 
 
 @contextmanager
 def bag_folder(request: RunRequest) -> Iterator[Path | None]:
-    """Yield the bag of a run: as asked for, or one for what is computed of it, or none."""
+    """Yield the path of the bag: as requested, a temporary one if results need it, or None."""
     if request.record is not None or request.out is None:
         if request.record is not None or request.settings.tool_error is None:
             yield request.record

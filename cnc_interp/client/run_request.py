@@ -1,4 +1,4 @@
-"""What a run is to do, and what came of it."""
+"""The request for a run, and its result."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
-#: Of the tip over the part on a simulated machine that must not start inside of a body [m].
+#: Height of the tip above the part at which a simulated machine starts outside all bodies [m].
 START_HEIGHT = 0.1
 
 
 @dataclass(frozen=True)
 class RunRequest:
     program: Path  #: Program file.
-    #: Further programs. Each starts when the one before it has reached its end.
+    #: Further programs; each starts when its predecessor has ended.
     then: tuple[Path, ...] = ()
     machine: str = DEFAULT_MACHINE  #: Bundled machine or YAML file.
     settings: Settings = field(default_factory=Settings)  #: The user's choices.
-    out: Path | None = None  #: Folder for plan files of what the machine executed.
+    out: Path | None = None  #: Folder for plan files of the executed motion.
     record: Path | None = None  #: Bag to record all messages into.
     quiet: bool = False  #: Show no progress.
-    #: Go on without cycle start at program stops, single blocks and before a plunge; with
-    #: simulated drives also where a function waits for the operator, as M6 without a tool changer.
+    #: Continue without cycle start at program stops, single blocks and before a plunge. With
+    #: simulated drives, functions that wait for the operator continue too (M6 by hand).
     pass_stops: bool = False
-    #: Drives of the machine and their parameters of the machine node, see
-    #: ``command_options.drives``; empty: as the parameters of the nodes say.
+    #: Kind of drives and their parameters; see ``command_options.drives``. Empty: as in the
+    #: parameters of the nodes.
     drives: dict[str, str] = field(default_factory=dict)
 
     @staticmethod
@@ -82,27 +82,27 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class RunResult:
-    ok: bool  #: True when the program was executed to its end, every block of it.
+    ok: bool  #: Whether the program was executed completely.
     message: str  #: What happened, in one line.
-    #: What ran where, and the run's name in all messages.
+    #: Program, machine, and the id of the run in all messages.
     program: str
     machine: str
     program_id: str = ''
     scene: str = ''  #: The scene against which each piece of the path was checked.
-    hits: tuple[str, ...] = ()  #: What the path hits, of a run that is only warned.
-    stock: str = ''  #: What was cut off the stock of the scene.
+    hits: tuple[str, ...] = ()  #: Hits of the path, in a run that only warns of them.
+    stock: str = ''  #: Text about the removed stock of the scene.
     #: Motion time of the program, and of the move to its start pose [s].
     cycle_time: float = 0.0
     approach_time: float = 0.0
-    #: From the command to the first setpoint that the machine executed [s].
+    #: Time from the command to the first executed setpoint [s].
     start_to_motion: float = float('nan')
     path_length: float = 0.0  #: Path executed [m].
-    #: Counts; starvations are times without setpoints.
+    #: Counts; a starvation is an interruption because setpoints were missing.
     blocks_sent: int = 0
     blocks_executed: int = 0
     samples: int = 0
     starvations: int = 0
-    #: Least motion time the machine held while it ran [s].
+    #: Least buffered motion time during the run [s].
     least_buffered_time: float = float('nan')
     contour_error: float = 0.0  #: Largest distance of the actual tip from the commanded path [m].
     #: 'm' for linear axes, 'rad' for rotary ones.
@@ -112,18 +112,18 @@ class RunResult:
     velocity_use: dict[str, float] = field(default_factory=dict)
     acceleration_use: dict[str, float] = field(default_factory=dict)
     jerk_use: dict[str, float] = field(default_factory=dict)
-    #: Where the axes stand at the end [m, rad].
+    #: Positions of the axes at the end [m, rad].
     position: dict[str, float] = field(default_factory=dict)
-    notices: tuple[str, ...] = ()  #: What of the program had no effect or was simplified.
-    #: Tracebacks of nodes that ended by a fault of cnc_interp and were started again.
+    notices: tuple[str, ...] = ()  #: Words of the program that had no effect or were simplified.
+    #: Tracebacks of nodes that were restarted after a fault of cnc_interp.
     faults: tuple[str, ...] = ()
-    #: Where it is limited: errors that the drives of the machine file leave at the tool, ``tip``
-    #: and ``axis``, and their ``limit`` [m]; the flank height at which the axis is measured [m].
+    #: Errors at the tool according to the drives of the machine file, if limited: ``tip``,
+    #: ``axis`` and their ``limit`` [m], and the flank height at which the axis is measured [m].
     tool_error: dict[str, float] | None = None
     flank_height: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """Return all fields for machines to read; NaN becomes None."""
+        """Return all fields in machine-readable form; NaN becomes None."""
         return {k: None if v != v else v for k, v in asdict(self).items()}
 
     def text(self) -> str:
@@ -169,7 +169,7 @@ class RunResult:
 
     @property
     def excesses(self) -> list[str]:
-        """Limits that executed setpoints exceeded, and hits. Tolerances were checked before."""
+        """Limits exceeded by executed setpoints, and hits; tolerances were checked beforehand."""
         from cnc_interp.run.plan_figures import excesses
 
         uses = {k: getattr(self, f'{k}_use') for k in ('velocity', 'acceleration', 'jerk')}

@@ -1,4 +1,4 @@
-"""The setpoints of a run as they were sent to the machine."""
+"""The setpoints of a run, as sent to the machine."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import SETPOINT_FIELDS, settings_of_plan
 from cnc_interp.wire.run_messages import run_id_of
 
-LONGEST_TAIL = 1 << 14  #: No stop along the path takes so many setpoints.
+LONGEST_TAIL = 1 << 14  #: More setpoints than any stop along the path takes.
 S, BLOCK, LINE = -3, -2, -1  #: Columns of ``rows_of``.
 
 
 def rows_of(message: SetpointChunk, prefix: str = '') -> FloatArray:
-    """Return all columns of the setpoints of a message, or of its stop tail, side by side."""
+    """Return the columns of a message's setpoints, or of its stop tail, as one array."""
     check_setpoints(message, message.axis_count, prefix)
     n, columns = len(getattr(message, f'{prefix}sequences')), []
     for field, name in SETPOINT_FIELDS.items():
@@ -34,16 +34,17 @@ def rows_of(message: SetpointChunk, prefix: str = '') -> FloatArray:
 
 
 class SentSetpoints:
-    """Setpoints of a run as they were sent, by plan and number; each is read when needed.
+    """Setpoints of a run as sent, by plan and number; each is read when needed.
 
-    They do not change, so a copy of a run shares them.
+    They never change, so copies of a run share them.
     """
 
     def __init__(self, bag: Bag, program_id: str):
         self._messages = bag.spooled('setpoints')
         self._places: dict[RunId, dict[int, int]] = defaultdict(dict)  # by first setpoint
         self.joins: dict[RunId, int] = {}  #: First setpoints of plans that join in motion.
-        self.settings: dict[RunId, OperatorSettings] = {}  #: With which each plan was made.
+        #: Operator settings with which each plan was made.
+        self.settings: dict[RunId, OperatorSettings] = {}
         self.faults: list[str] = []
         for place, message in enumerate(self._messages):
             if message.program_id != program_id:
@@ -63,9 +64,9 @@ class SentSetpoints:
         return self
 
     def stop_before(self, run_id: RunId, number: int, later: int) -> float:
-        """Return where a plan could have stopped, by a tail after a setpoint or so many later [m].
+        """Return where a plan could have stopped by the tail ``later`` setpoints after one [m].
 
-        It is the end of the last tail of the plan that is in the record.
+        If the record does not have that chunk, the chunk of the setpoint itself is used.
         """
         message = self.at(run_id, number + later) or self.at(run_id, number)
         if message is None:
@@ -82,9 +83,9 @@ class SentSetpoints:
         return message if number < firsts[k] + len(message.sequences) else None
 
     def tail(self, run_id: RunId, number: int, row: FloatArray) -> FloatArray | None:
-        """Return the rest of a stop tail that has a row in place of a setpoint of the plan.
+        """Return the rest of a stop tail, from a row that replaces a setpoint of the plan.
 
-        A tail may follow the plan at first, so it may be that of a chunk some chunks before.
+        A tail may coincide with the plan at first, so it may belong to an earlier chunk.
         """
         plan = np.zeros((0, len(row)))  # from the end of a chunk to the setpoint
         while len(plan) < LONGEST_TAIL:
@@ -102,7 +103,7 @@ class SentSetpoints:
 
 
 def _same(a: SetpointChunk, b: SetpointChunk) -> bool:
-    """Compare two messages but for their checksums, which cover bytes that mean nothing."""
+    """Compare two messages without their checksums, which also cover padding bytes."""
     return all(
         getattr(a, name) == getattr(b, name)
         for name in a.get_fields_and_field_types()

@@ -1,4 +1,4 @@
-"""A ROS node in a context of its own, served by a loop of this process."""
+"""A ROS node in its own context, served by a loop of this process."""
 
 import faulthandler
 from typing import Self
@@ -11,11 +11,11 @@ from cnc_interp.processes.stop_signals import stops_later
 from cnc_interp.processes.this_host import stay_on_this_host
 
 SPIN = 0.1  #: Longest wait for an event [s].
-LAST_WAIT = 20.0  #: For the end of ROS in this process [s].
+LAST_WAIT = 20.0  #: Longest wait for the end of ROS in this process [s].
 
 
 class ServedNode:
-    """Without ``domain``, the domain of the environment is used."""
+    """A served ROS node; without ``domain``, the environment gives the domain."""
 
     def __init__(self, name: str, namespace: str, domain: int | None = None):
         stay_on_this_host()

@@ -12,7 +12,7 @@ from cnc_interp.core import InterpError, ProgramError
 from cnc_interp.core.small_files import config_directory
 from cnc_interp.processes.node_processes import Children, load_nodes
 
-#: Domains whose ports Linux gives to no other program, and all domains.
+#: Domains whose ports Linux never assigns to other programs, and all domains.
 DOMAINS = range(1, 102)
 ALL_DOMAINS = range(233)
 
@@ -23,9 +23,9 @@ def run_session(
     """Start the nodes, run one or more programs through them, and end the nodes.
 
     ``companion``: a process beside the nodes, such as the page, with ``start`` and ``finish``;
-    ``started``: when the command began, in monotonic time; None for now [s]. Raises InterpError if
-    the first program cannot be read or executed (nothing has moved then), if the machine file is
-    wrong, or if a node cannot start.
+    ``started``: monotonic time at which the command began, by default now [s]. Raises InterpError
+    if the first program cannot be read or executed (nothing has moved then), if the machine file
+    is invalid, or if a node cannot start.
     """
     started = time.monotonic() if started is None else started
     for program in request.programs:
@@ -61,19 +61,19 @@ def run_session(
 
 
 def chosen_domain() -> int:
-    """Return the user's ROS domain, or a random one, which keeps parallel runs apart."""
+    """Return the user's ROS domain, or a random one, which separates parallel runs."""
     chosen = os.environ.get('ROS_DOMAIN_ID', '')
     return int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
 
 
 def domain_of_nodes(domain: int | None) -> int:
-    """Return the ROS domain of nodes that run: the one given, or the environment's."""
+    """Return the ROS domain of running nodes: as given, or from the environment."""
     chosen = os.environ.get('ROS_DOMAIN_ID', '')
     return (int(chosen) if chosen.isdigit() else 0) if domain is None else domain
 
 
 def check_place(namespace: str, domain: int) -> None:
-    """Reject a namespace or a domain that ROS 2 does not allow.
+    """Check a namespace and a domain against the rules of ROS 2.
 
     Raises InterpError if one of them is wrong; the message says what is allowed.
     """

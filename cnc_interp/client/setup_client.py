@@ -1,4 +1,4 @@
-"""Offsets and tools of the machine as users see them: told, changed, and on the command line."""
+"""Offsets and tools of the machine for users: shown, changed, and on the command line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cnc_interp.program.job import ROTATION, TOOL_SIZES, TOOL_TEXTS, Tool
 
 @dataclass(frozen=True)
 class OffsetChange:
-    """A change of an offset: the values that it had and has, and those that count [m, rad]."""
+    """A change of an offset: its values before and after, and the values in effect [m, rad]."""
 
     name: str
     had: dict[str, float]
@@ -50,11 +50,11 @@ class OffsetChange:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What was found and is not set yet."""
+    """Changes that a cycle has found and that are not set yet."""
 
-    offsets: tuple[OffsetChange, ...]  #: With their values now and then.
-    tools: dict[int, Tool]  #: Tools as they would be.
-    after: JobSetup  #: The whole table as it would be.
+    offsets: tuple[OffsetChange, ...]  #: Offsets with their values before and after.
+    tools: dict[int, Tool]  #: Tools after the change.
+    after: JobSetup  #: The whole table after the change.
 
     def texts(self, before: JobSetup, unit: LengthUnit) -> list[str]:
         told = [one.text(unit) for one in self.offsets]
@@ -83,13 +83,13 @@ def offset_changes(
 
 
 class SetupClient:
-    """Reads the table of offsets and tools; ``who``: its name in the log of what it changes."""
+    """Listens to the table of offsets and tools; ``who``: name under which it logs changes."""
 
     def __init__(self, nodes: OperatorClient, who: str):
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'
-        self.table: SetupTable | None = None  #: The table as it was reported last; None before.
+        self.table: SetupTable | None = None  #: Latest received table; None before the first.
         self.setup = JobSetup()
-        #: The last change of offsets, by whomever; empty before there was one.
+        #: The last change of offsets by any client; empty before the first.
         self.changes: tuple[OffsetChange, ...] = ()
         nodes.node.create_subscription(SetupTable, 'setup_table', self._see, LOADED)
 
@@ -100,7 +100,7 @@ class SetupClient:
             self.changes = changes
 
     def proposal(self, text: str) -> Proposal:
-        """Return what a line by hand would change of the table, from its result's `proposed`."""
+        """Return the changes proposed by an MDI line, from the `proposed` of its result."""
         assert self.table is not None
         after = JobSetup.of_text(text) if text else self.setup
         tools = {n: tool for n, tool in after.tools.items() if tool != self.setup.tools.get(n)}
@@ -112,13 +112,13 @@ class SetupClient:
         return await self.ask_each([*wanted, *starmap(whole_tool, proposal.tools.items())])
 
     async def undo(self, changes: tuple[OffsetChange, ...]) -> Answer:
-        """Give offsets back the values that they had before changes, unless newer ones came."""
+        """Restore the values of offsets before some changes, unless they have changed since."""
         if changes != self.changes:
             return Answer(False, 'the offsets were changed again: look at the last change')
         return await self.ask_each(whole_offset(one.name, one.had) for one in changes)
 
     async def ask_each(self, requests: Iterable[tuple[str, dict[str, Any]]]) -> Answer:
-        """Send requests, one after the other, up to the first that is rejected."""
+        """Send requests one after the other, and stop at the first that is refused."""
         answer = Answer(True, 'nothing to set')
         for service, request in requests:
             answer = await asyncio.wrap_future(self.ask(service, **request))

@@ -1,1 +1,1 @@
-"""The operator page: what the nodes do, in a browser, and the operator's keys."""
+"""The operator page: a view of the nodes in a browser, with the operator's keys."""

@@ -1,4 +1,4 @@
-"""`cnc-interp panel` and `run --panel`: the page with nodes of its own, or beside others."""
+"""`cnc-interp panel` and `run --panel`: the page with its own nodes, or beside running ones."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from cnc_interp.processes.node_processes import NODES, Children
 if TYPE_CHECKING:
     from cnc_interp.page.server import Served
 
-#: Shortest token of a file: nobody guesses it, however often, so nobody needs to be locked out.
+#: Shortest token in a file: too long to be guessed, so no lock-out is needed [bytes].
 SHORTEST_TOKEN = 16
-LONGEST_TOKEN = 1000  #: Longest one [bytes].
-LAST_WAIT = 5.0  #: How long the page may take to end [s].
+LONGEST_TOKEN = 1000  #: Longest token [bytes].
+LAST_WAIT = 5.0  #: Longest wait for the page to end [s].
 
 
 def run_panel(options: Namespace) -> None:
@@ -93,7 +93,7 @@ def is_loopback(host: str) -> bool:
 
 
 def until_asked(served: Served, namespace: str, domain: int, revive: Revive) -> None:
-    """Serve; Ctrl-C is the way to end it and no fault."""
+    """Serve until Ctrl-C, which is the normal way to end."""
     from cnc_interp.page.server import serve
 
     with contextlib.suppress(KeyboardInterrupt):

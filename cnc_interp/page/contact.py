@@ -1,8 +1,9 @@
-"""Contact with a page: who may command; no stop is lost on the way, nothing else is done late.
+"""Contact with a page: who may command; stops are never lost, and other commands never late.
 
-A stop is sent by the page until it is answered (``contact.js``). All else is done only for a page
-that has lately heard the server: it answers each beat, and its words come in order. The server's
-copy of a field is old after a break, so a key that reads fields sends their texts with it.
+The page resends a stop until it is answered (``contact.js``). All other commands are executed only
+for a page that has heard the server recently: it answers each beat, and its messages arrive in
+order. After an interruption the server's copy of a field is old, so a key that reads fields sends
+their texts along.
 """
 
 import asyncio
@@ -24,25 +25,25 @@ from starlette.responses import PlainTextResponse
 
 from cnc_interp.client.operator_client import STOPS, Answer
 
-#: What a key does, and how a page has it done: allowed or rejected on the server.
+#: The action of a key, and the way a page requests it; the server allows or refuses it.
 Act = Callable[[], Awaitable[Answer]]
 Command = Callable[[Act], Awaitable[None]]
 
-#: What the page says when it heard nothing for a while, and a key did nothing.
+#: Message if the page was cut off for a while and a key had no effect.
 INTERRUPTED = 'the connection was interrupted'
 AGAIN = f'{INTERRUPTED}: look at the machine, then press again'
-VIEW_ONLY = 'view only: press "take over" first'  #: What a page says that does not command.
-#: What a page says that was opened with another token than that of its server.
+VIEW_ONLY = 'view only: press "take over" first'  #: Message of a page that may not command.
+#: Message of a page that was opened with another token than that of its server.
 WRONG_TOKEN = (
     'the token in the address is not that of this server, which may have been started again: '
     'open the address that it printed at start'
 )
 NO_TOKEN = 'to command, open the page with the address that was printed at start'
-#: Time between beats, and age of the last one answered up to which a page sees what happens [s].
+#: Time between beats, and largest age of the last answered beat of a page that is up to date [s].
 BEAT, LATE = 0.5, 5.0
-#: A page whose last answer is older lags: it is shown nothing until it has caught up [s].
+#: A page whose last answer is older lags and gets no updates until it has caught up [s].
 LAGS = 1.5
-REMEMBERED = round(2 * LATE / BEAT)  #: Answers to older beats do not count any more.
+REMEMBERED = round(2 * LATE / BEAT)  #: Number of beats whose answers are accepted.
 
 
 class Contact:
@@ -74,7 +75,7 @@ class Contact:
             self._heard, self._seen = max(self._heard, beat), bool(seen)
 
     async def _stop(self, event: events.GenericEventArguments) -> None:
-        """Do it the first time; answer as often as it is asked for once it is done."""
+        """Execute a stop at its first request, and answer every request once it is done."""
         name, number = event.args['name'], str(event.args['number'])
         if name not in STOPS:
             return
@@ -111,7 +112,7 @@ def pressing(name: str) -> dict[str, Any]:
 def act_on_shown(
     element: Any, kind: str, fields: Iterable[Any], act: Callable[[], Awaitable[None]]
 ) -> None:
-    """Have an element act on an event, after its fields have got the texts that the page shows."""
+    """Make an element act on an event, after its fields have taken over the texts on the page."""
 
     async def acted(event: events.GenericEventArguments) -> None:
         shown = event.args if isinstance(event.args, dict) else {}
@@ -124,18 +125,18 @@ def act_on_shown(
     element.on(kind, acted, js_handler='() => emit(shown())')
 
 
-#: Headers by which a browser shows the page in no frame of another.
+#: Headers that forbid browsers to show the page in a frame of another page.
 UNFRAMED = (
     (b'x-frame-options', b'DENY'),
     (b'content-security-policy', b"frame-ancestors 'none'"),
 )
-FORM = 1 << 16  #: Room for what a form adds to a file [bytes].
+FORM = 1 << 16  #: Allowance for what a form adds to an uploaded file [bytes].
 
 
 class Gate:
-    """Lets requests through that name this computer and whose bodies are short enough.
+    """Admits only requests that name this computer and whose bodies are short enough.
 
-    A page of another origin can send none, by a websocket neither, and can frame nothing.
+    A page of another origin can neither send requests or open websockets, nor frame this page.
     """
 
     def __init__(self, app: Any, host: str, longest: int):
@@ -172,7 +173,8 @@ async def send_unframed(send: Any, message: Any) -> None:
 def names_this_host(header: str, host: str) -> bool:
     """Return whether the Host header is an address, ``localhost`` or the name of the server.
 
-    An attacker may point another name to this computer; then his page would be of the same origin.
+    Another name may be pointed at this computer by an attacker, whose page would then have the
+    same origin.
     """
     try:
         name = urlsplit(f'//{header}').hostname or ''
@@ -185,9 +187,9 @@ def names_this_host(header: str, host: str) -> bool:
 
 
 class Access:
-    """The token, and which page is in charge: a browser tab keeps that when it is refreshed.
+    """The token, and the page in charge; a browser tab stays in charge when it is refreshed.
 
-    Any page with the token may take the others over, and may always stop the machine.
+    Any page with the token may take over control, and may always stop the machine.
     """
 
     def __init__(self, token: str = ''):

@@ -1,4 +1,4 @@
-"""What all pages share: the nodes' last words, the loaded program, its plan and the history."""
+"""State shared by all pages: latest messages of the nodes, program, plan and history."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ from cnc_interp.wire.run_messages import goal_of, in_program, settings_from
 if TYPE_CHECKING:
     from cnc_interp.collision.drawing import DrawnBody
 
-SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
-REST = 1.0  #: After so long at rest the charts stand, so that they show the last motion [s].
+SPAN, STEP = 30.0, 0.1  #: Length of the history in the charts, and time between its points [s].
+REST = 1.0  #: After this time at rest the charts freeze, so that they show the last motion [s].
 KINDS = ('velocity', 'acceleration', 'jerk')  #: The charts show values as shares of their limit.
 
 
@@ -51,7 +51,7 @@ def is_text(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Moment:
-    """One point of the charts: the largest use in a step of time, feeds at its end; SI units."""
+    """One point of the charts: the largest uses in a time step, and the feeds at its end; SI."""
 
     time: float
     feed: float
@@ -63,16 +63,16 @@ class Moment:
 @dataclass
 class Job:
     name: str  #: Its name.
-    lines: list[str]  #: Its text; empty where that is too long to be shown.
+    lines: list[str]  #: Its text; empty if it is too long to be shown.
     path: Path  #: File with the text.
-    settings: Settings  #: The choices that it is planned and run with.
+    settings: Settings  #: Settings with which it is planned and run.
     number: int = 0  #: Counts the programs of the desk, from 1.
     plan: Preview | None = None  #: Its plan, once there is one.
-    status: str = 'planning'  #: What is being done with it, or why it cannot be run.
+    status: str = 'planning'  #: Current activity, or why it cannot be run.
     failed: bool = False  #: Whether it cannot be run.
     fault_lines: tuple[int, ...] = ()  #: Lines that are wrong.
     proven: bool | None = None  #: Result of the last check.
-    #: Text of the offsets and tools that it is planned with; empty where its settings name them.
+    #: Text of the setup that it is planned with; empty if its settings name a setup.
     setup: str = ''
 
     def is_run(self, program: LoadedProgram, settings: Settings) -> bool:
@@ -80,7 +80,7 @@ class Job:
         return same_text and texts_of(self.settings) == texts_of(settings)
 
     def refuse(self, reason: str) -> None:
-        """Store why it cannot be run, one reason in a line, and the lines of it that they name."""
+        """Store the reasons why it cannot be run, and the program lines that they name."""
         first, *others = reason.splitlines()
         self.status, self.failed = first, True
         if others:
@@ -103,7 +103,7 @@ class Desk:
         self._moved = 0.0
         self._stopped = False  # by an emergency stop or a fault
         self.machine: Machine | None = None
-        self.bodies: tuple[DrawnBody, ...] = ()  #: Those of the machine's scene.
+        self.bodies: tuple[DrawnBody, ...] = ()  #: Bodies of the machine's scene.
         self._first_tool = 0  # the one that the scene puts in the spindle
         self.job: Job | None = None
         self.settings = Settings()
@@ -119,8 +119,10 @@ class Desk:
         self._running: Job | None = None
         self._adopted = ''
         self._tasks: set[asyncio.Task[None]] = set()
-        self.loop: asyncio.AbstractEventLoop | None = None  #: That of the pages, while they live.
-        self.pages: set[Callable[[], None]] = set()  #: What shows a new state, in that loop.
+        #: Event loop of the pages, while they exist.
+        self.loop: asyncio.AbstractEventLoop | None = None
+        #: Callbacks of the pages, which show a new state in that loop.
+        self.pages: set[Callable[[], None]] = set()
         self._peak = np.zeros((3, 0))
         self.nodes = OperatorClient('panel', namespace, domain, self._see_state)
         self.setup = SetupClient(self.nodes, 'page')
@@ -160,16 +162,16 @@ class Desk:
         return self.plan_of(state) if self.shows_run(state) else None
 
     def drawn_until(self, s: float) -> int:
-        """Return the number of the drawn point that lies before a path length [m]."""
+        """Return the index of the last drawn point before a path length [m]."""
         return max(0, int(np.searchsorted(self._drawn, s, side='right')) - 1)
 
     def drawn_line(self, point: int) -> int:
-        """Return the line of the program that leads to a drawn point; 0 if there is none."""
+        """Return the program line that leads to a drawn point; 0 if there is none."""
         lines = self._drawn_lines
         return int(lines[point]) if 0 <= point < len(lines) else 0
 
     def feeds(self, state: MachineState) -> tuple[float, float]:
-        """Return programmed feed and limit of the axes where the machine is; NaN if unknown."""
+        """Return programmed feed and axis limit at the present place; NaN if unknown."""
         plan = self.plan_of(state)
         if plan is None or state.path_position <= 0.0 or state.state == MachineState.IDLE:
             return np.nan, np.nan
@@ -182,7 +184,7 @@ class Desk:
             asyncio.get_running_loop().call_soon(show)
 
     def watch(self) -> None:
-        """Learn which machine it is, adopt a program that others have started."""
+        """Detect a change of the machine, and adopt programs that other clients have started."""
         if self.machine is None and self.nodes.machine:
             machine = Machine.load(self.nodes.machine)
             if self.nodes.scene:
@@ -275,7 +277,7 @@ class Desk:
         return replace(settings, interpolation_period=state.interpolation_period)
 
     def _setup_text(self, settings: Settings) -> str:
-        """Return the offsets and tools of the machine, unless the settings name others."""
+        """Return the setup of the machine as text; empty if the settings name a setup."""
         table = self.setup.table
         return '' if settings.setup is not None or table is None else str(table.text)
 
@@ -385,7 +387,7 @@ class Desk:
         return Answer(True, 'chosen')
 
     def _see_end(self, result: RunProgram.Result) -> None:
-        """Forget the line of the start after the run, or store why there was no start."""
+        """After a run, clear the start line; if the start was refused, store the reason."""
         program = self.nodes.program
         begun = program is not None and program.program_id == result.program_id
         if begun or not self.start.line:
@@ -411,7 +413,7 @@ class Desk:
         return plan.hits[0] if plan is not None and plan.hits else None
 
     def hit(self) -> tuple[tuple[str, ...], str]:
-        """Return two bodies that hit each other, live or as planned, and a sentence."""
+        """Return two bodies that hit each other, live or in the plan, and a sentence about it."""
         if live := tuple(self.nodes.hits.values()):
             return live[0]
         first = self.planned_hit
@@ -422,7 +424,7 @@ class Desk:
         return int(run.start_line) if run and in_program(self.nodes.state) else self.start.line
 
     def start_position(self) -> float:
-        """Return the path length at which the run on the desk has started [m]."""
+        """Return the path length at which the current run has started [m]."""
         run = self._shown_run()
         return float(run.start_at) if run else 0.0
 
@@ -431,7 +433,7 @@ class Desk:
         return self.nodes.program if state is not None and self.shows_run(state) else None
 
     def modes(self) -> tuple[str, ModalState | None]:
-        """Return whose modal state counts now: of the block that is executed, or of MDI."""
+        """Return the modal state in effect: of the executed block, or of MDI."""
         state, active = self.nodes.state, self.nodes.active_modes
         if state is None or not (state.program_id and in_program(state)):
             return 'MDI', self.nodes.modes
@@ -456,7 +458,7 @@ class Desk:
         return answer
 
     def _clear_alarms(self) -> None:
-        """Leave what a reset does not change: the warnings of the program that is shown."""
+        """Clear the alarms, except the warnings of the program that is shown."""
         kept = self.job.name if self.job is not None else ''
         self.nodes.alarms.hide(lambda alarm: alarm.source != kept)
 
@@ -467,7 +469,7 @@ class Desk:
         return answer
 
     def end_planning(self) -> None:
-        """End what is planned, while the loop of the page runs still."""
+        """End the planning while the event loop of the page still runs."""
         self._planner.close()
 
     def close(self) -> None:

@@ -25,8 +25,8 @@ from cnc_interp.program.job import ROTATION, WORK_OFFSETS, Tool
 from cnc_interp.settings.option_kinds import Choice
 from cnc_interp.settings.options import Settings, filled_in, offered, settings_filled_in
 
-#: What the browser calls a key; what is printed on it; the key of the page; what it does, where
-#: the key of the page does not say it itself.
+#: For each shortcut: the browser's name of the key, its label, the key of the page, and its effect
+#: if the key of the page does not show it.
 KEYBOARD = (
     ('F1', 'F1', 'EMERGENCY STOP', ''),
     ('Escape', 'Esc', 'feed hold', ''),
@@ -65,7 +65,7 @@ def keyboard_list() -> Any:
     return dialog
 
 
-#: Titles of the settings, with the names below each; others are below the last one.
+#: Titles of the groups of settings, with the names in each; the last group holds all others.
 GROUPS = {
     'tolerances': (
         'contour_tolerance',
@@ -104,7 +104,7 @@ class SettingsDialog:
         self._dialog = ui.dialog()
 
     def open(self, settings: Settings) -> None:
-        """Show settings in new fields: values set into old ones overwrite what is typed."""
+        """Show settings in new fields, because updating old fields would overwrite typed text."""
         self._settings = settings
         self._dialog.clear()
         with self._dialog, ui.card().classes('settings'):
@@ -271,7 +271,7 @@ class SetupDialog:
         return number * unit
 
     def values(self, marks: dict[str, tuple[str, float]]) -> dict[str, float] | None:
-        """Return the values of fields that are not empty; None, and say so, if one is wrong."""
+        """Return the values of non-empty fields; None, with a message, if one is invalid."""
         found = {}
         for name, (mark, unit) in marks.items():
             try:
@@ -285,14 +285,14 @@ class SetupDialog:
         return found
 
     async def _set_offset(self, name: str, axes: list[str]) -> None:
-        """Set an offset to what its fields say; an empty field removes the value."""
+        """Set an offset to the values of its fields; an empty field removes the value."""
         values = self.values({k: (f'{name} {k}', self._unit.now.of(k)) for k in axes})
         if values is not None:
             await self.ask('set_offset', offset=name, clear=True, **of_axes(values))
 
 
 async def shown_by(table_is_new: Callable[[], bool]) -> None:
-    """Wait for a moment until the table has come, which follows an answer on another topic."""
+    """Wait briefly for the new table, which arrives after the answer on another topic."""
     for _ in range(20):
         if table_is_new():
             break

@@ -1,7 +1,7 @@
-"""Motion by hand on a page: keys that move an axis while held, or by steps; fields of numbers.
+"""Motion by hand on a page: keys that move an axis while held, or by steps; input of positions.
 
-A held key repeats a beat (``hand_motion.js``) that names the last beat of the server that the page
-has heard. So a beat that was on its way for long is known, and does not count.
+A held key repeats a beat (``hand_motion.js``), which names the last server beat that the page has
+heard. A beat that was delayed in transit is thus recognised and ignored.
 """
 
 from __future__ import annotations
@@ -41,28 +41,28 @@ ARROWS = {
     'PageDown': ('Z', -1),
     'PageUp': ('Z', 1),
 }
-CROSS = 'XYZ'  #: Axes whose keys form a cross, with those of Z beside it.
+CROSS = 'XYZ'  #: Axes whose keys form a cross; those of Z are beside it.
 TOOL = 'tool'  #: Name of the motion along the tool among the axes.
-HOLD = 'hold'  #: In the place of a step: the axis moves while its key is held.
-SPEED = 1  #: The speed at first, counted from the slowest.
-AT_END = 1e-6  #: An axis nearer than this to the end of its travel is there [m, rad].
+HOLD = 'hold'  #: Replaces a step size if the axis shall move while its key is held.
+SPEED = 1  #: Index of the initial speed, from the slowest.
+AT_END = 1e-6  #: An axis this near to the end of its travel counts as being there [m, rad].
 FILLS = 0.7  #: Time for which a key that starts a rapid must be held [s].
-STALE = 1.2  #: A beat that names an older beat of the server was on its way for too long [s].
-ALARMS = 'machine_node: jog'  #: Where messages of motion by hand come from.
-#: What the page says where a held key was let go by something else than its user.
+STALE = 1.2  #: A beat that names an older server beat was too long in transit [s].
+ALARMS = 'machine_node: jog'  #: Source of the messages of motion by hand.
+#: Messages if a held key was released by something other than its user.
 EARLY = 'nothing moves yet: hold the key until it is filled'
 LOST = 'the window or the pointer was lost: look at the machine, then press again'
 
 
 def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:
-    """Return the beat that moves an axis, or along the tool; any other name stops."""
+    """Return the beat that moves an axis or along the tool; any other name stops the motion."""
     if name == TOOL:
         return Jog(tool=share)
     return Jog(axes=[name], shares=[share]) if name in axes else Jog()
 
 
 def step_of(name: str, distance: float, speed: float) -> MoveAxes.Request:
-    """Return the request that moves an axis, or along the tool, by a distance [m, rad]."""
+    """Return the request to move an axis, or along the tool, by a distance [m, rad]."""
     if name == TOOL:
         return MoveAxes.Request(relative=True, speed=speed, tool=distance)
     return MoveAxes.Request(relative=True, speed=speed, axes=[name], values=[distance])
@@ -159,7 +159,7 @@ class JogPad:
         return float(text) * (self._unit.now.size if name == TOOL else self._unit.now.of(name))
 
     def _share(self, name: str) -> float:
-        """Return the share of an axis' largest velocity, or of that along the tool [-]."""
+        """Return the share of the velocity limit of an axis, or along the tool [-]."""
         if name == TOOL:
             most = self._along_tool().limits.axes[0].max_velocity
         else:
@@ -173,7 +173,7 @@ class JogPad:
         return along_tool(self._machine, stands)
 
     def _end(self, name: str, sign: int) -> str:
-        """Return at which end of its travel an axis stands, in words; empty if it can continue."""
+        """Return as text the end of travel at which an axis stands; empty if it can move on."""
         state = self._nodes.state
         if state is None or name not in (*self._names, TOOL):
             return ''
@@ -200,7 +200,7 @@ class JogPad:
             await self._command(asked(self._nodes.ask, 'move_axes', step))
 
     def _beat(self, event: events.GenericEventArguments) -> None:
-        """Pass a beat on, unless it is old or this page does not command; a stop is never old."""
+        """Forward a beat, unless it is old or this page is not in charge; a stop is never old."""
         name, sign, heard = (event.args[key] for key in ('name', 'sign', 'heard'))
         if not self._may_move():
             said = VIEW_ONLY if name else ''
@@ -233,7 +233,7 @@ class NumberFields:
         return field.props(f'prefix={name} data-mark="{mark} {name}" suffix="{suffix}"')
 
     def _convert(self, unit: LengthUnit) -> None:
-        """Keep the lengths that are typed: 12.5 mm become 0.492126 in. What is no number goes."""
+        """Convert typed lengths to the new unit (12.5 mm to 0.492126 in); drop invalid text."""
         for name, field in self._fields.items():
             text = self._unit.texts.get(field.props['data-mark'], '').replace(',', '.')
             ratio = self._unit.before.of(name) / unit.of(name)
@@ -275,7 +275,7 @@ def numbers(texts: dict[str, str | None]) -> dict[str, float]:
 
 
 class PoseField(NumberFields):
-    """Where to go: a pose, or the zero of an axis, as a rapid, by a key that must be held."""
+    """Rapids to a pose or to the zero of an axis, started by a key that must be held."""
 
     def __init__(
         self,
@@ -326,7 +326,7 @@ class TouchOffField(NumberFields):
         self._reading_key('touch off', self._touch_off).classes('wide changes')
 
     async def _touch_off(self, values: dict[str, float]) -> None:
-        """Set the active offset; what is empty stays as it is."""
+        """Set the active offset; empty fields leave their axis unchanged."""
         found = {name: value * self._unit.now.of(name) for name, value in values.items()}
 
         async def touched() -> Answer:

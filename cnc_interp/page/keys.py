@@ -21,13 +21,13 @@ large = partial(key, look='unelevated')
 
 
 class HeldSlider(ui.slider):
-    """A slider that stays where its user puts it, and does not wait for the server's answer."""
+    """A slider that stays where the user puts it, without waiting for the server's answer."""
 
     LOOPBACK = False
 
 
 class OverrideSlider:
-    """The feed override in one page: a slider, and keys that move it by a step or to 100 %."""
+    """The feed override of a page: a slider, and keys that move it by a step or to 100 %."""
 
     def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
         self._nodes, self._may_set = nodes, may_set
@@ -48,7 +48,7 @@ class OverrideSlider:
         self._slider.update()
 
     def _set(self, event: events.ValueChangeEventArguments) -> None:
-        """Only changes by others move the slider: it shows already what was asked for here."""
+        """Move the slider only for changes by others; it already shows the user's own value."""
         if self._shown is not None and event.value == round(100 * self._shown):
             return  # moved by this program, to show what others have set
         if self._may_set():
@@ -66,13 +66,13 @@ class OverrideSlider:
             self._text.set_text(f'feed {value:.0%}')
 
     def show_again(self) -> None:
-        """Show what counts: what the user did while the connection was interrupted is lost."""
+        """Show the actual value; input made while the connection was interrupted is lost."""
         self._shown = None
         self._slider.update()
 
 
 class RapidKeys:
-    """The rapid override in one page: a key for each value; the one that counts is lit."""
+    """The rapid override of a page: a key for each value; the active one is lit."""
 
     def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
         self._nodes, self._may_set = nodes, may_set
@@ -104,7 +104,7 @@ class RapidKeys:
 
 
 class SpindleKeys:
-    """The spindle override in one page: a row of keys that move it by a step or to 100 %."""
+    """The spindle override of a page: keys that move it by a step or to 100 %."""
 
     def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
         self._nodes, self._may_set = nodes, may_set
@@ -152,7 +152,7 @@ class Switch:
 
 
 class SignalKeys:
-    """Outputs and inputs: a key for each output that is on or off, the others as text."""
+    """Outputs and inputs: a key for each on/off output, and the others as text."""
 
     def __init__(self, nodes: OperatorClient, command: Command):
         self._nodes, self._command = nodes, command
@@ -193,7 +193,7 @@ class SignalKeys:
 
 
 class Keys:
-    """All keys in one page; ``in_sight`` commands what must not come late."""
+    """All keys of a page; ``in_sight`` sends commands that must not be executed late."""
 
     def __init__(
         self,
@@ -233,7 +233,7 @@ class Keys:
         await self._use(replace(self._desk.settings, skip_blocks=on))
 
     def allow(self, in_charge: bool, trusted: bool) -> None:
-        """Enable the keys of a page in charge; with the token it may always stop or hold."""
+        """Enable the keys of the page in charge; any page with the token may stop or hold."""
         for element in self._elements:
             element.set_enabled(in_charge)
         for element in (self._stop, self._hold):

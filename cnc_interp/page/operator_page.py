@@ -33,10 +33,10 @@ from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import in_program
 
-#: New states of the machine are shown at this pace at most, charts every so many times [s].
+#: Least time between shown states [s]; charts are updated every so many states.
 PACE, CHART_EVERY = 0.1, 4
-EARLY = 0.02  #: A state may come so much before its time [s].
-STALE = 0.5  #: What is no new state is shown after this time [s].
+EARLY = 0.02  #: A state may be shown this much early [s].
+STALE = 0.5  #: Other changes are shown after this time [s].
 
 
 outlined = partial(key, colour='primary', look='dense outline')
@@ -291,7 +291,7 @@ class Page:
         return True
 
     async def _stop_with(self, name: str) -> None:
-        """Stop or hold, however late it was heard; the token is enough."""
+        """Stop or hold, even if the request arrives late; the token is sufficient."""
         if self._trusted or self._allowed():
             await self._do(partial(self._desk.trigger, name))
 
@@ -343,7 +343,7 @@ class Page:
                 self._show()
 
     def _show(self) -> None:
-        """Update the page. Only changes are sent, and only while the browser keeps up."""
+        """Update the page; only changes are sent, and only while the browser keeps up."""
         if not self._contact.is_followed:
             return
         self._shown_at = time.monotonic()
@@ -406,12 +406,12 @@ class Page:
             self._charts.show(desk)
 
     def _toggle_hit(self) -> None:
-        """Draw the machine at the first hit of the program, or where it is."""
+        """Switch between drawing the machine at the first hit of the program and as it is."""
         self._at_hit = not self._at_hit
         self._show()
 
     def _start_text(self) -> str:
-        """Return what the operator must know about the start; empty for the top of a program."""
+        """Return a note for the operator about the start; empty at the top of a program."""
         way, desk = self._desk.way_ahead(), self._desk
         self._view.show_way(way)
         start = desk.start.line, desk.start.which

@@ -1,4 +1,4 @@
-"""A program planned and checked beside the machine by the commands that a user gives."""
+"""Plan and check a program beside the machine, with the commands that a user would type."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from cnc_interp.settings.command_line import command_words
 from cnc_interp.settings.options import Settings
 
 DRAWN = 20000  #: Largest number of points drawn.
-STAGES = 24  #: Of the stock, while it is cut.
+STAGES = 24  #: Number of stages at which the cut stock is drawn.
 PROGRESS = re.compile(r'\w+ \d+%.*')  #: A line of progress of a command.
 NOTE = re.compile(r'note: |line \d+: .*' + WARNING)  #: A line about the program.
-STRANGE = re.compile(r'[^\w .,()+#-]')  #: Characters that the name of a program does not keep.
+STRANGE = re.compile(r'[^\w .,()+#-]')  #: Characters that are removed from the name of a program.
 LONGEST_NAME = 60  #: Characters of such a name, of at most four bytes each.
 NICENESS = 5  #: Niceness of the planning process: lower priority than the nodes.
 
@@ -47,7 +47,7 @@ class PlannedHit:
     line: int  #: Line of the program.
     bodies: tuple[str, ...]  #: Names of both bodies.
     positions: tuple[float, ...]  #: Axis positions there [m, rad].
-    text: str  #: What hits, by how much, and where.
+    text: str  #: Description of the hit: bodies, amount and place.
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ class Preview:
     block_end: FloatArray
     rapid: BoolArray  #: (N,): Whether that block is a rapid.
     line: IntArray  #: (N,): Its line of the program.
-    cycle_time: float  #: Of the whole program [s].
-    notices: tuple[str, ...] = ()  #: What had no effect or was simplified.
-    hits: tuple[PlannedHit, ...] = ()  #: What the program hits, in a plan with a scene.
-    bound: str = ''  #: The least time that any motion takes, in words.
-    #: What is left of the stock, an STL file each, from these path lengths on [m].
+    cycle_time: float  #: Duration of the whole program [s].
+    notices: tuple[str, ...] = ()  #: Words that had no effect or were simplified.
+    hits: tuple[PlannedHit, ...] = ()  #: Hits of the program, if the plan has a scene.
+    bound: str = ''  #: Lower bound of the motion time, as text.
+    #: Stages of the remaining stock: path length from which each is valid [m], and STL file.
     stages: tuple[bytes, ...] = ()
     stage_from: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -79,7 +79,7 @@ class Preview:
 
     @cached_property
     def usual_feed(self) -> float:
-        """The largest planned feed outside of rapids; of all where there are only rapids [m/s]."""
+        """The largest planned feed outside rapids; if all motion is rapid, the largest [m/s]."""
         cutting = self.feed[~self.rapid]
         return float((cutting if cutting.max(initial=0.0) > 0.0 else self.feed).max(initial=0.0))
 
@@ -93,12 +93,12 @@ class Preview:
         )
 
     def stage_at(self, s: float) -> int:
-        """Return the number of the stage of the stock at a path length [m]; -1 without one."""
+        """Return the number of the stock's stage at a path length [m]; -1 if there is none."""
         return int(np.searchsorted(self.stage_from, s, 'right')) - 1
 
     @staticmethod
     def read(directory: Path, notices: tuple[str, ...] = ()) -> Preview:
-        """Read the plan files, thinned to what a screen shows."""
+        """Read the plan files, thinned to the resolution of a screen."""
         with np.load(directory / 'path.npz') as path, np.load(directory / 'setpoints.npz') as run:
             s = path['s']
             rows = thinned(len(s))
@@ -167,7 +167,7 @@ class Planner:
         see_progress: Callable[[str], None],
         setup: str = '',
     ) -> Preview:
-        """Plan a program of ``keep``; InterpError with what `plan` says, one reason in a line."""
+        """Plan a program of ``keep``; InterpError carries the messages of `plan`, one per line."""
         if setup:
             file = Path(self._folder.name) / '.offsets and tools.yaml'
             file.write_text(setup, encoding='utf-8')

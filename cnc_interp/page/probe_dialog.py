@@ -1,4 +1,4 @@
-"""The dialog of the probing cycles: choose one, start it, and decide about what it has found."""
+"""The dialog of the probing cycles: choose one, start it, and accept or discard its result."""
 
 import asyncio
 from functools import partial
@@ -16,7 +16,7 @@ from cnc_interp.program.motion.probing import Cycle, cycles
 _BALL = '<circle cx="{}" cy="{}" r="6" fill="#e8c34a"/>'
 _WAY = '<path d="M{} {}L{} {}" stroke="#e8c34a" stroke-width="2" stroke-dasharray="4 3"/>'
 _PART = '<{} fill="none" stroke="currentColor" stroke-width="2"/>'
-#: Pictures of the cycles, 120 by 80: the part, the ball where it begins, and its ways.
+#: Pictures of the cycles, 120 by 80: the part, the ball at its start, and its paths.
 _PICTURES = {
     'surface': _PART.format('path d="M10 60H110"') + _WAY.format(60, 16, 60, 54),
     'edge': _PART.format('path d="M80 10V70"') + _WAY.format(20, 40, 74, 40),
@@ -44,7 +44,7 @@ _BEGINS = {
 
 
 class ProbeDialog:
-    """Choose a cycle, say what it needs, and start it from where the machine stands."""
+    """Dialog to choose a cycle, enter its values, and start it at the present position."""
 
     def __init__(
         self, nodes: OperatorClient, setup: SetupClient, unit: ShownUnit, command: Command
@@ -54,7 +54,7 @@ class ProbeDialog:
         self._fields: dict[str, Any] = {}
 
     def open(self, name: str = 'surface') -> None:
-        """Show a cycle; the fields are made again, as in ``SettingsDialog``."""
+        """Show a cycle in new fields, as ``SettingsDialog`` does."""
         cycle = cycles()[name]
         self._dialog.clear()
         with self._dialog, ui.card().classes('settings'):
@@ -97,7 +97,7 @@ class ProbeDialog:
         await self._command(partial(self._find, cycle.name, line))
 
     async def _find(self, name: str, line: str) -> Answer:
-        """Have the cycle find its place; nothing is set before its user has agreed."""
+        """Run the cycle; its result is set only after the user has confirmed it."""
         answer = await asyncio.wrap_future(self._nodes.give_line(line, proposes=True))
         if answer.ok and answer.response is not None:
             self._report(name, answer.response)

@@ -17,7 +17,7 @@ from cnc_interp.page.readings import NOTHING
 
 
 class Listing:
-    """The text of the program in one page; it follows the executed line until its user scrolls."""
+    """The text of the program on a page; it follows the executed line until the user scrolls."""
 
     def __init__(self) -> None:
         self._number = -1
@@ -43,7 +43,7 @@ class Listing:
 
 
 class StartField:
-    """Line, pass, and two keys. A line of the program's text is chosen by pressing it, too."""
+    """Fields for line and pass, and two keys. Pressing a line of the text also chooses it."""
 
     def __init__(self, choose: Callable[[int, int], Awaitable[Answer]], command: Command):
         self._choose, self._command = choose, command
@@ -79,7 +79,7 @@ class StartField:
 
 
 class MdiField:
-    """The field in one page. Enter gives the line, up and down show those before."""
+    """The MDI field of a page. Enter sends the line; up and down recall earlier lines."""
 
     def __init__(
         self, history: LineHistory, give: Callable[[str], Future[Answer]], command: Command
@@ -108,7 +108,7 @@ class MdiField:
         await self.give(str(self.field.value or '').strip())
 
     async def give(self, line: str) -> bool:
-        """Have a line executed, as if it was entered here; tell whether it was."""
+        """Execute a line as if it had been entered here; return whether it was executed."""
         if not line or self._busy:
             return False
         done = False

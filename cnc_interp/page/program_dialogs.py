@@ -11,7 +11,7 @@ from cnc_interp.page.contact import Command, key
 from cnc_interp.page.desk import Desk
 from cnc_interp.page.program_folder import LONGEST_EDITED
 
-AGREED = 'overwrite'  #: What the key for saving says where another program has the name.
+AGREED = 'overwrite'  #: Label of the save key if another program has the name.
 
 
 class FolderDialog:
@@ -92,7 +92,7 @@ class EditorDialog:
         ui.run_javascript(f'editor.open({number})')
 
     def show(self) -> None:
-        """Mark the rejected lines of what was checked last."""
+        """Mark the refused lines of the last check."""
         job = self._desk.job
         if not self._dialog.value or job is None:
             return
@@ -125,7 +125,7 @@ class EditorDialog:
 
 
 class MacroKeys:
-    """Keys for lines of G-code that the machine file names; what moves asks first."""
+    """Keys for G-code lines of the machine file; a line that moves asks for confirmation."""
 
     def __init__(self, desk: Desk, give: Callable[[str], Awaitable[bool]]):
         assert desk.machine is not None

@@ -15,15 +15,15 @@ SUFFIXES = frozenset(
     }
 )
 MOST_LISTED, MOST_RECENT = 500, 10
-LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [bytes].
-LONGEST_EDITED = 500_000  #: Longer programs are not edited on a page [characters].
+LONGEST_PROGRAM = 64 << 20  #: Largest program accepted from a browser [bytes].
+LONGEST_EDITED = 500_000  #: Longest program that can be edited on a page [characters].
 
 
 @dataclass(frozen=True)
 class Listed:
     name: str  #: Its path below the folder.
     size: int  #: [bytes]
-    changed: float  #: When it was changed, in seconds since the epoch.
+    changed: float  #: Time of its last change, in seconds since the epoch.
 
     def text(self) -> str:
         size = f'{self.size} B' if self.size < 2000 else f'{self.size / 1e3:.0f} kB'
@@ -31,7 +31,7 @@ class Listed:
 
 
 def program_text(path: Path, name: str) -> str:
-    """Read a program; errors (InterpError) call it by ``name``."""
+    """Read a program; errors (InterpError) refer to it by ``name``."""
     try:
         with path.open('rb') as file:
             content = file.read(LONGEST_PROGRAM + 1)
@@ -43,7 +43,7 @@ def program_text(path: Path, name: str) -> str:
 
 
 class ProgramFolder:
-    """Programs below one folder; a page can name no file outside."""
+    """Programs below one folder; a page cannot access files outside it."""
 
     def __init__(self, folder: Path):
         self.folder = folder.resolve()
@@ -62,7 +62,7 @@ class ProgramFolder:
         return sorted(found, key=lambda one: -one.changed)[:MOST_LISTED]
 
     def recent(self) -> list[str]:
-        """Return the names opened last that are still there, the last one first."""
+        """Return the names of recently opened programs that still exist, the latest first."""
         try:
             lines = self._kept.read_text(encoding='utf-8').splitlines()
         except (OSError, UnicodeDecodeError):

@@ -1,4 +1,4 @@
-"""What a page says: numbers as words of the shop floor, in its unit of lengths, and messages."""
+"""Texts of a page: figures in shop-floor terms and in the page's unit of length, and messages."""
 
 import math
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from cnc_interp.program.job import JobSetup
 from cnc_interp.wire.run_messages import state_of
 
 NOTHING = '–'
-AT_LINE_END = 2e-6  #: A tool tip nearer to the end of its line than this rests there [m].
+AT_LINE_END = 2e-6  #: A tool tip this near to the end of its line counts as resting there [m].
 
 
 def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
@@ -52,7 +52,7 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
 
 
 def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
-    """Return why the machine is in its state; after a single block also where it rests."""
+    """Return the reason for the machine's state; after a single block also where it rests."""
     if (tool := desk.nodes.tool_wanted) is not None:
         return change_text(tool, desk.setup.setup, unit)
     off = desk.nodes.off_line_end
@@ -68,7 +68,7 @@ def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
 
 
 def change_text(number: int, setup: JobSetup, unit: LengthUnit) -> str:
-    """Return what the operator must do at a tool change without a tool changer."""
+    """Return the operator's task at a tool change without a tool changer."""
     if not number:
         return 'take the tool out of the spindle, then press cycle start'
     tool = setup.tools.get(number)
@@ -97,7 +97,7 @@ def axis_words(state: MachineState, machine: Machine, unit: LengthUnit) -> dict[
 def work_words(
     state: MachineState, machine: Machine, setup: JobSetup, unit: LengthUnit
 ) -> dict[str, str]:
-    """Return what the coordinates of the program read, and their name."""
+    """Return the program coordinates as text, and their name."""
     names = (*machine.program_names, *machine.extra_names)
     reads = list(state.program_positions) or [math.nan] * len(names)
     words = {
@@ -119,7 +119,7 @@ def feed_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, s
 
 
 def spindle_text(state: MachineState) -> str:
-    """Return the speed of the spindle, and where in its turn it stands with an encoder."""
+    """Return the speed of the spindle, and with an encoder also its angle."""
     if not state.spindle_speed and math.isnan(state.spindle_angle):
         return NOTHING
     turn = state.spindle_angle % 1  # NaN without an encoder
@@ -134,7 +134,7 @@ def progress_words(
     start: float = 0.0,
     unit: LengthUnit = MILLIMETRES,
 ) -> dict[str, str]:
-    """Return line, progress and times if the override stays; before the path: at its start."""
+    """Return line, progress and times, assuming that the override stays as it is."""
     words = {'line': str(state.line_number) if state.line_number else NOTHING}
     words['progress'] = words['left'] = words['to go'] = NOTHING
     if plan is not None:
@@ -185,7 +185,7 @@ def history_text(alarms: list[Alarm]) -> str:
     )
 
 
-WEIGHTS = ('error', 'warning', 'notice')  #: Messages by weight: what needs hands stands first.
+WEIGHTS = ('error', 'warning', 'notice')  #: Levels of messages, most urgent first.
 SHOWN = 30  #: Messages shown beside the program.
 
 
@@ -222,7 +222,7 @@ class Messages:
 class ShownUnit:
     def __init__(self) -> None:
         self.now = self.before = MILLIMETRES
-        #: The texts that stood in the fields of the page when it was chosen, by their marks.
+        #: Texts of the page's fields at the time of the choice, by their marks.
         self.texts: dict[str, str] = {}
         self._followers: list[Callable[[LengthUnit], None]] = []
 
@@ -245,8 +245,8 @@ INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
 #: Colours of the axes in order. They repeat if a machine has more axes.
 AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0', '#c9b458')
-#: Limits on straight lines and rapids are far above the rest: the chart ends this much above
-#: the feed and what is mostly programmed.
+#: Limits on straight lines and rapids are far above the rest, so the chart ends at this multiple
+#: of the feed and the usual programmed feed [-].
 HEADROOM = 1.5
 
 

@@ -20,19 +20,19 @@ from cnc_interp.page.start_choice import WayThere
 if TYPE_CHECKING:
     from cnc_interp.collision.drawing import DrawnBody
 
-SIDES = 5  #: Of the tube.
-FACES = 2 * SIDES  #: Triangles between two neighbouring points.
-#: What is not drawn changes the course by less than this share of the radius, and red, green
-#: and blue by less than this share of full.
+SIDES = 5  #: Number of sides of the tube.
+FACES = 2 * SIDES  #: Number of triangles between two neighbouring points.
+#: Points are left out if the tube then moves by less than this share of its radius, and if red,
+#: green and blue change by less than this share of their range.
 UNSEEN, INDISTINCT = 0.25, 0.04
-#: Slow to fast, evenly spaced: legible on dark ground.
+#: Colours from slow to fast, evenly spaced and legible on a dark background.
 SCALE = ((58, 84, 196), (43, 176, 220), (96, 204, 120), (244, 208, 63), (231, 90, 60))
 
 
 def tube(
     points: FloatArray, values: FloatArray, top: float, radius: float
 ) -> tuple[bytes, IntArray]:
-    """Make the file of which ``scene.js`` draws a tube.
+    """Make the file from which ``scene.js`` draws the tube.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def tube(
 
 
 def thinned(points: FloatArray) -> Any:
-    """Choose rows of a polyline: no other is farther than 1 from its chord (Douglas, Peucker)."""
+    """Choose rows of a polyline so that no point is farther than 1 from its chord (Peucker)."""
     kept = np.zeros(len(points), dtype=bool)
     kept[[0, -1]] = True
     waiting = [(0, len(points) - 1)]
@@ -79,27 +79,27 @@ def colours_of(values: FloatArray, top: float) -> Any:
 
 
 GROUND = '#26323c'
-#: Directions from which one looks [-], by name; the first is the usual one.
+#: Directions of view [-], by name; the first is the default.
 VIEWS = {
     'iso': (0.55, -0.70, 0.46),
     'top': (0.0, -0.001, 1.0),
     'front': (0.0, -1.0, 0.0),
     'right': (1.0, 0.0, 0.0),
 }
-#: Axes of the workpiece: their colours, and their length and radius relative to what is looked at.
+#: Axes of the workpiece: colours, and length and radius relative to the size of the view.
 TRIAD = {'X': '#ff6b6b', 'Y': '#5fd38d', 'Z': '#5aa9e6'}
 TRIAD_LENGTH, TRIAD_RADIUS = 0.22, 0.006
-#: Part of the path that is executed already.
+#: Colour of the executed part of the path.
 DONE = '#5d6d79'
 RAY, RAY_COLOUR = 0.14, '#ffd166'
-#: The way to a place inside the program; its radius relative to what is looked at.
+#: The way to a place inside the program: colours, and radius relative to the size of the view.
 WAY, WAY_RADIUS = '#ff5ec4', 0.004
 FOV = 40.0
-#: What the view of the part leaves out.
+#: Bodies that the view of the part leaves out.
 MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)
-#: Opacity of what carries the tool in the view of the part: the point of cutting is seen.
+#: Opacity of the tool's side in the view of the part, so that the cutting point is visible.
 SEE_THROUGH = 0.3
-SOLID = 0.9  #: Opacity of the stock while it is cut: walls and floors are seen.
+SOLID = 0.9  #: Opacity of the stock while it is cut, so that walls and floors are visible.
 
 
 class MachineView:
@@ -174,7 +174,7 @@ class MachineView:
             self._carriers.append((found, colour))
 
     def mark(self, hit: tuple[str, ...], tool: int) -> None:
-        """Show bodies that hit each other in red, and of all tools the one in the spindle."""
+        """Show bodies that hit each other in red, and only the tool that is in the spindle."""
         if (hit, tool) == (self._hit, self._tool):
             return
         self._hit, self._tool = hit, tool
@@ -208,7 +208,7 @@ class MachineView:
         return found.material(css(shape.colour), shape.colour[3])
 
     def show(self, positions: dict[str, float]) -> None:
-        """Move the axes [m, rad]; in the view of the part the workpiece rests."""
+        """Move the axes [m, rad]; in the view of the part the workpiece does not move."""
         if (self._of_part, positions) == self._placed:
             return
         self._placed = self._of_part, positions
@@ -314,7 +314,7 @@ class MachineView:
         return found
 
     def _size(self) -> tuple[FloatArray, float]:
-        """Return centre and radius of what is looked at: the path, and the way to it [m]."""
+        """Return centre and radius of the view, which shows the path and the way to it [m]."""
         low, high = self._extent
         for _, tips in self._legs:
             low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))

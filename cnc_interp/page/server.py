@@ -1,4 +1,4 @@
-"""Serves the page: on loopback, until Ctrl-C; the machine does not notice when it ends."""
+"""Serve the page on loopback until Ctrl-C; its end does not affect the machine."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from cnc_interp.page.origin import PARENT, Revive
 from cnc_interp.page.program_folder import LONGEST_PROGRAM, program_text
 from cnc_interp.processes.stop_signals import stops_later
 
-PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.
-#: The scripts in the order in which they are loaded, and the values in capitals in them.
+PACKAGE = Path(__file__).resolve().parents[1]  #: Folder of this package.
+#: The scripts in loading order, and the values for the names in capitals in them.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
     'listing': {},
@@ -60,9 +60,9 @@ def scripts() -> str:
 
 
 STYLE = Path(__file__).with_name('style.css')
-WATCH = 0.5  #: How often the page looks after programs, but for those with a new state [s].
-LOOK = 1.0  #: How often it looks for nodes that have ended [s].
-#: A page whose connection was interrupted finds its place again within this time [s].
+WATCH = 0.5  #: Time between checks of the programs when no new state arrives [s].
+LOOK = 1.0  #: Time between checks for nodes that have ended [s].
+#: Time within which a page can reconnect after an interruption [s].
 RECONNECT = 20.0
 PORTS = range(65536)
 
@@ -71,11 +71,11 @@ PORTS = range(65536)
 class Served:
     host: str = '127.0.0.1'
     port: int = 8650
-    token: str = ''  #: Needed for commands; a random one when empty.
-    #: A program that is laid on the desk at start.
+    token: str = ''  #: Required for commands; if empty, a random token is made.
+    #: Program that is loaded at the start.
     name: str = ''
     text: str | None = None
-    folder: Path = Path()  #: Whose programs pages list, open and save.
+    folder: Path = Path()  #: Folder whose programs pages list, open and save.
 
     @staticmethod
     def prepare(
@@ -90,7 +90,7 @@ class Served:
 
 
 def serve(served: Served, namespace: str, domain: int, revive: Revive) -> None:
-    """Serve until a signal, or until ``revive``, which starts nodes again, raises InterpError."""
+    """Serve until a signal, or until ``revive``, which restarts nodes, raises InterpError."""
     access = Access(served.token)
     with ExitStack() as closing:
         with stops_later():  # half a desk could not be closed, nor one that nobody knows yet
@@ -184,7 +184,7 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
 
 
 class FaultsOnce:
-    """Logs a fault of the server once for each place in the code, so that no disk fills up."""
+    """Reports a server fault once per place in the code, so that floods cannot fill the disk."""
 
     def __init__(self) -> None:
         self._told: set[str] = set()

@@ -1,4 +1,4 @@
-"""A start inside the loaded program: the line that is chosen, and the way that leads there."""
+"""A start inside the loaded program: the chosen line, and the way that leads there."""
 
 from dataclasses import dataclass, replace
 
@@ -12,10 +12,11 @@ from cnc_interp.run.start_place import way_inside
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import settings_from
 
-POINTS = 25  #: Points drawn on a leg on which rotary axes turn: the tip then moves on a curve.
+#: Number of points drawn on a leg with turning rotary axes, where the tip moves on a curve.
+POINTS = 25
 #: Parts of the way, and the corner of ``way_inside`` at which each ends.
 LEGS = (('1 retract', 1), ('2 position', 3), ('3 plunge', 4))
-#: Why a machine waits before it takes the way.
+#: Reasons why a machine waits before it takes the way.
 WAITS = (MachineState.REASON_APPROACH, MachineState.REASON_AWAY)
 AWAY = 'the axes were moved away by hand'
 BACK = 'cycle start moves the tool back and goes on: retract, position, plunge; reset gives up'
@@ -26,7 +27,7 @@ MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 class StartChoice:
     line: int = 0  #: Line of the program; 0 for its top.
     which: int = 0  #: Execution of that line, from 1; 0 for the only one.
-    refused: str = ''  #: Why there was no start there; empty before it was tried.
+    refused: str = ''  #: Why the start there was refused; empty before the attempt.
 
     @property
     def text(self) -> str:
@@ -43,7 +44,7 @@ class StartChoice:
 class WayThere:
     #: Name of each part, and the tool tip on it in W, shape (k, 3) [m].
     legs: tuple[tuple[str, FloatArray], ...]
-    text: str  #: What the operator must know before it moves; empty once it moves.
+    text: str  #: Note for the operator before the motion; empty once it moves.
 
 
 class WayAhead:
@@ -76,7 +77,7 @@ class WayAhead:
         return self._way
 
     def _legs(self, corners: FloatArray) -> tuple[tuple[str, FloatArray], ...]:
-        """Return the tips on the way, leg by leg; what has no length is left out."""
+        """Return the tips on the way, leg by leg; legs without length are left out."""
         legs, first = [], 0
         for name, last in LEGS:
             part = corners[first : last + 1]

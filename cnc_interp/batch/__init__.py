@@ -1,1 +1,1 @@
-"""Many programs on many machines: planned and proven one by one, in processes of their own."""
+"""Many programs on many machines: each is planned and proven in its own process."""

@@ -1,4 +1,4 @@
-"""The table of a batch: CSV for everybody, Parquet for programs, a page that sorts it."""
+"""The table of a batch, as CSV, as Parquet, and on a page that sorts it."""
 
 import csv
 import io
@@ -14,8 +14,8 @@ from cnc_interp.core.small_files import write_whole
 from cnc_interp.report import html
 
 Results = Sequence[tuple[BatchEntry, TaskOutcome]]
-#: Columns of the table: name with its unit, and type. All but the first two and ``cost`` are
-#: fields of ``Row``.
+#: Columns of the table: name with unit, and type. All except the first two and ``cost`` are fields
+#: of ``Row``.
 COLUMNS = {
     'program': str,
     'machine': str,
@@ -37,7 +37,7 @@ COLUMNS = {
     'notices': str,
     'plan_hash': str,
 }
-#: Columns whose field of ``Row`` has another name.
+#: Columns that differ in name from their field of ``Row``.
 FIELDS = {
     'path_length_m': 'path_length',
     'cycle_time_s': 'cycle_time',
@@ -105,7 +105,7 @@ def _parquet(rows: list[dict[str, Any]], file: Path) -> list[Path]:
     return [file]
 
 
-MOST_ROWS = 5000  #: More rows than these are not shown; the table file has them all.
+MOST_ROWS = 5000  #: Largest number of rows shown; the table files contain all.
 #: Columns of the page: heading, column of the table, and how a number is written.
 SHOWN = (
     ('program', 'program', ''),

@@ -1,4 +1,4 @@
-"""A batch from its jobs to all results: what is known is not computed again."""
+"""Carry out a batch; results that are already known are not computed again."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -16,12 +16,12 @@ from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 
 R = TypeVar('R')
 
-#: Verdicts that another attempt may change.
+#: Verdicts that may change in another attempt.
 UNCERTAIN = (Verdict.KILLED, Verdict.TOO_LONG, Verdict.TOO_LARGE)
 
 
 class Store(Generic[R]):
-    """Results by their keys, a file for each; ``read`` makes a result of what a file holds."""
+    """Results by key, one file each; ``read`` converts the content of a file to a result."""
 
     def __init__(self, folder: Path, read: Callable[[Any], R]):
         self._folder, self._read = folder, read
@@ -40,7 +40,7 @@ class Store(Generic[R]):
         return self._folder / f'{key}.json'
 
 
-#: What a lost task becomes.
+#: Verdicts of lost tasks.
 LOST = {
     Loss.CRASHED: Row(Verdict.CRASHED, 'its worker crashed'),
     Loss.KILLED: Row(Verdict.KILLED, 'its worker was killed again and again'),
@@ -49,7 +49,7 @@ LOST = {
 
 
 class Workers(Protocol):
-    """Who carries out the tasks: ``processes.Processes`` or ``dask_workers.DaskWorkers``."""
+    """Workers that carry out tasks: ``processes.Processes`` or ``dask_workers.DaskWorkers``."""
 
     def run(
         self, function: Callable[[Task], TaskOutcome], arguments: Iterator[Callable[[], Task]]
@@ -58,11 +58,11 @@ class Workers(Protocol):
 
 @dataclass(frozen=True)
 class Progress:
-    #: Tasks with a result, those of an earlier start among them, and all.
+    #: Number of tasks with a result, including those of earlier starts, and of all tasks.
     done: int
     known: int
     total: int
-    share: float  #: Part of the text that had to be planned and is done [-].
+    share: float  #: Finished share of the program text that has to be planned [-].
 
 
 def run_batch(
@@ -138,7 +138,7 @@ def workers_of(
     longest: float,
     preloaded: Sequence[str] = PRELOADED,
 ) -> Workers:
-    """Return who carries out a batch: a cluster, or processes that share the memory here."""
+    """Return the workers of a batch: a cluster, or processes that share this computer's memory."""
     if scheduler is not None:
         found: Workers = dask_workers().DaskWorkers(scheduler, memory, longest)
         return found

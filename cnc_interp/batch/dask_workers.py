@@ -1,4 +1,4 @@
-"""A batch on several computers: Dask gives out the tasks, processes carry them out as here."""
+"""A batch on several computers: Dask distributes the tasks, and processes carry them out."""
 
 import asyncio
 import logging
@@ -20,14 +20,14 @@ from cnc_interp.core import InterpError
 
 PATIENCE = 10  #: Time for the scheduler to answer [s].
 MOST_LOST_WORKERS = 20  #: A task that has lost so many workers is given up.
-AHEAD = 2  #: Tasks that are given out ahead, for each thread of the workers.
+AHEAD = 2  #: Number of tasks assigned ahead, for each thread of the workers.
 
 A = TypeVar('A')
 R = TypeVar('R')
 
 
 class DaskWorkers:
-    """The workers of a cluster; fills ``run.Workers``."""
+    """The workers of a cluster; implements ``batch_run.Workers``."""
 
     def __init__(self, address: str, memory: float | None, longest: float):
         self._memory, self._longest = memory, longest
@@ -96,7 +96,7 @@ def _end_of(future: Future, number: int) -> processes.EndedCall[Any]:
 def call_there(
     function: Callable[[A], R], task: A, version: str, memory: float | None, longest: float
 ) -> processes.EndedCall[R]:
-    """Call a function in a new process on a worker; it is told how many processes it may have."""
+    """Call a function in a new process on a worker, with the number of processes it may use."""
     if engine() != version:
         raise InterpError(
             f'the worker {get_worker().address} has another version of cnc_interp; install '
@@ -150,7 +150,7 @@ def join(address: str, workers: int, say: Callable[[str], None]) -> None:
 
 
 def _live(life: Coroutine[Any, Any, None]) -> None:
-    """Run a part of a cluster. Dask keeps quiet, also when another part is lost."""
+    """Run a part of a cluster, without messages of Dask when another part is lost."""
     _keep_quiet()
     asyncio.run(life)
 

@@ -1,4 +1,4 @@
-"""What every task needs, imported once by the process from which its worker is forked."""
+"""Imports of every task, loaded once by the process from which workers are forked."""
 
 import gc
 

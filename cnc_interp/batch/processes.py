@@ -1,4 +1,4 @@
-"""Calls in processes of their own, forked from a warm fork server; each crashes alone."""
+"""Calls in separate processes, forked from a warm fork server, so that each crashes alone."""
 
 import contextlib
 import multiprocessing
@@ -17,14 +17,14 @@ from typing import Generic, TypeVar
 from cnc_interp.core import InterpError
 from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
 
-#: What the fork server loads for programs, and for tiles of needles.
+#: Modules that the fork server loads for programs, and for tiles of needles.
 PRELOADED = ('cnc_interp.batch.preload_tasks',)
 TILES_PRELOADED = ('cnc_interp.cam.preload_tiles',)
 PROCESS_NAME = 'cnc_batch'  #: Name of a working process in ``ps`` and ``top``.
-LOOK = 0.2  #: Time between looks whether all shall end [s].
-#: A call whose process is killed so often is not begun again: something always kills it.
+LOOK = 0.2  #: Time between checks whether all processes shall end [s].
+#: A call is given up after its process has been killed this often.
 MOST_KILLS = 200
-#: Signals by which others end a process; by any other signal it ends itself.
+#: Signals by which others end a process; all other signals come from a crash of its own.
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 
 A = TypeVar('A')
@@ -40,14 +40,14 @@ class Loss(Enum):
 @dataclass(frozen=True)
 class EndedCall(Generic[R]):
     number: int  #: Number of the call, from 0.
-    result: R | Loss  #: What it returned, or why it did not.
-    kills: int = 0  #: How often it was killed and begun again.
+    result: R | Loss  #: Return value, or the kind of loss.
+    kills: int = 0  #: Number of kills after which it was restarted.
     why: str = ''  #: How its process ended, if there is no result.
 
 
 @dataclass(frozen=True)
 class _Attempt(Generic[A]):
-    """A call that waits: its argument is made when it begins, and some time is left for it [s]."""
+    """A waiting call: its argument is made when it begins; it has some time left [s]."""
 
     number: int
     make: Callable[[], A]
@@ -57,14 +57,14 @@ class _Attempt(Generic[A]):
 
 @dataclass(frozen=True)
 class _Running(Generic[A]):
-    """A call, its process, and the time at which it has no time left [s]."""
+    """A running call, its process, and the time at which its time ends [s]."""
 
     call: _Attempt[A]
     process: ForkServerProcess
     deadline: float
 
     def again(self) -> _Attempt[A] | None:
-        """Return the call to begin again after a kill; None if it may not be."""
+        """Return the call to restart after a kill; None if it may not be restarted."""
         left = self.deadline - time.monotonic()
         if left <= 0 or self.call.kills >= MOST_KILLS:
             return None
@@ -78,7 +78,8 @@ def total_memory() -> float:
 class Processes:
     """Some processes that work at the same time, at the lowest priority.
 
-    ``memory`` [bytes] and ``longest`` time [s] of a call; ``stopped`` says whether all shall end.
+    ``memory``: largest memory [bytes] and ``longest``: longest time [s] of a call; ``stopped``:
+    returns whether all processes shall end.
     """
 
     def __init__(
@@ -145,7 +146,7 @@ class Processes:
 
     @staticmethod
     def _heard(running: dict[Connection, _Running[A]]) -> list[Connection]:
-        """Wait; return the connections of processes that have ended, or work for too long."""
+        """Wait; return the connections of processes that have ended or exceeded their time."""
         deadline = min(one.deadline for one in running.values())
         heard = wait(list(running), min(max(0.0, deadline - time.monotonic()), LOOK))
         now = time.monotonic()

@@ -1,4 +1,4 @@
-"""A sweep: a command with many values of options, as a grid or a search; its table and page."""
+"""A sweep: a command is run with many option values, as a grid or a search; table and page."""
 
 import hashlib
 import io
@@ -30,7 +30,7 @@ from cnc_interp.run.plan_figures import collision_text
 #: Points of a generation of the search, for each option; decimals of their values.
 GENERATION, DIGITS = 5, 4
 SAME = 1e-9  #: Lengths that differ less are the same [m].
-#: Motions of a simulated surface in its summary; the first one that is there counts.
+#: Motions of a simulated surface in its summary; the first available one is used.
 SIMULATED = ('executed', 'planned')
 SWEPT = (('plan',), ('cam', 'iso-scallop'))  #: Commands that can be swept.
 
@@ -44,7 +44,7 @@ class Range:
 @dataclass(frozen=True)
 class Point:
     words: tuple[str, ...]  #: The command without its folder.
-    values: tuple[tuple[str, str], ...]  #: The options that are swept, and their values.
+    values: tuple[tuple[str, str], ...]  #: Swept options with their values.
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -71,14 +71,14 @@ class Found:
     fault: str = ''  #: Why there is no motion, else ''.
     #: The highest ridge between passes, if the command makes a surface [m].
     scallop: float | None = None
-    collision: str = ''  #: What the check of clearances found, of a command with a scene.
+    collision: str = ''  #: Result of the clearance check, for a command with a scene.
 
 
 Main = Callable[[Sequence[str]], int]
 
 
-#: What a process is told: the function of the command line, its words, the folder in which it is
-#: run, and the folder for its files.
+#: Arguments of a process: the function of the command line, its words, the working directory, and
+#: the folder for its files.
 Call = tuple[Main, tuple[str, ...], Path, Path]
 
 
@@ -121,11 +121,11 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
 
 
 class Sweep:
-    """Runs points, each once, and keeps what became of them.
+    """Runs each point once, and stores its result.
 
-    ``words``: the command that is swept, without ``--out``; ``progress``: called with the numbers
-    of points that are done and of those known from an earlier start. Raises InterpError if the
-    command cannot be swept.
+    ``words``: the swept command, without ``--out``; ``progress``: called with the number of
+    finished points and of those known from an earlier start. Raises InterpError if the command
+    cannot be swept.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Sweep:
         self.run([(), *(tuple(zip(names, values, strict=True)) for values in all_values)])
 
     def search(self, ranges: Sequence[Range], most: int) -> None:
-        """Run the command as it is, and search the fastest with at most so many other points."""
+        """Run the command unchanged, then search the fastest with a limited number of points."""
         names = [one.option for one in ranges]
         bounds = [(float(one.values[0]), float(one.values[-1])) for one in ranges]
         self.run([()])
@@ -225,7 +225,7 @@ def _checked(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def without_effect(found: dict[Point, Found], option: str) -> bool:
-    """Return whether all values of an option give the same motion, whatever the others are."""
+    """Return whether an option has no effect on the motion, whatever the others are."""
     groups: dict[Any, set[Any]] = {}
     for point, one in found.items():
         if point.values and one.cycle_time is not None:
@@ -235,7 +235,7 @@ def without_effect(found: dict[Point, Found], option: str) -> bool:
 
 
 def front(found: dict[Point, Found]) -> list[Point]:
-    """Return the points that no other one beats in time, scallop and error, fastest first."""
+    """Return the Pareto front in time, scallop and error, the fastest point first."""
     best: dict[Point, tuple[float, float, float]] = {}
     known = [
         ((one.cycle_time, one.scallop or 0.0, one.error or 0.0), point)
@@ -250,7 +250,7 @@ def front(found: dict[Point, Found]) -> list[Point]:
     return list(best)
 
 
-#: Limits that are named, of those at which an axis is for most of the time.
+#: Number of limits named, of those that hold the motion for most of the time.
 NAMED = 3
 LOCAL_STYLE = 'td, th { text-align: left; } code { font-size: 12px; }'
 

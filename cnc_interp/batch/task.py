@@ -1,4 +1,4 @@
-"""One program on one machine: what a worker is told, and the row of the table that it returns."""
+"""One program on one machine: the task for a worker, and the table row that it returns."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Model:
-    name: str  #: As the user named it.
+    name: str  #: Name given by the user.
     text: str  #: Content of its file.
     file: str  #: Path of the file; empty for a bundled machine.
 
 
 @dataclass(frozen=True)
 class Task:
-    """All that a worker needs; it opens no file of the user."""
+    """The complete input of a worker, which opens no files of the user."""
 
     program: str  #: Name of the program in the table: its path from the folder of the batch.
-    #: Names and contents: the program, then the subprograms beside it that it may call.
+    #: Names and contents of the program, then of the subprograms that it may call.
     files: tuple[tuple[str, bytes], ...]
     model: Model  #: The machine.
-    #: Every choice as text, as ``settings.options`` has them; ``setup`` left out.
+    #: Every setting except ``setup`` as text, in the form of ``settings.options``.
     settings: tuple[tuple[str, str], ...]
     setup: str = ''  #: Content of the setup file, or ''.
     plans: str = ''  #: Folder in which the plan files are kept, or ''.
@@ -52,7 +52,7 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Name of the result: a hash of all that it depends on, this package's source included."""
+        """Key of the result: a hash of all its inputs, including the source of this package."""
         digest = hashlib.sha256(engine().encode())
         texts = (
             self.program,
@@ -70,17 +70,17 @@ class Task:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: it depends on the task alone; figures are None without a plan."""
+    """A row of the table, which depends only on the task; figures are None without a plan."""
 
-    verdict: Verdict  #: What became of the program.
-    message: str = ''  #: Why it is not proven, else ''.
+    verdict: Verdict  #: Verdict about the program.
+    message: str = ''  #: Why the plan is not proven, else ''.
     blocks: int | None = None
     setpoints: int | None = None
     path_length: float | None = None  #: Way of the tool tip [m].
     #: Time of the motion, and the least time that velocities and accelerations allow [s].
     cycle_time: float | None = None
     time_bound: float | None = None
-    standstill: float | None = None  #: For tool changes and the spindle [s].
+    standstill: float | None = None  #: Time for tool changes and the spindle [s].
     #: Largest use of a limit by any axis, as proven [-].
     velocity_use: float | None = None
     acceleration_use: float | None = None
@@ -89,8 +89,8 @@ class Row:
     #: Largest use of the tolerances, as proven [-].
     contour_used: float | None = None
     orientation_used: float | None = None
-    notices: tuple[str, ...] = ()  #: What the reader and the planner noticed.
-    plan_hash: str = ''  #: Hash of the plan files, their summary left out.
+    notices: tuple[str, ...] = ()  #: Notices of the reader and the planner.
+    plan_hash: str = ''  #: Hash of the plan files without their summary.
 
     @property
     def run_time(self) -> float:
@@ -100,7 +100,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a row has cost; another run of the same task costs something else."""
+    """The computing cost of a row, which differs between runs of the same task."""
 
     seconds: float = 0.0  #: Time from start to end of the worker's task [s].
     processor: float = 0.0  #: Processor time of all its processes [s].
@@ -134,7 +134,7 @@ def settings_of(settings: Settings) -> tuple[tuple[tuple[str, str], ...], str]:
 
 @cache
 def engine() -> str:
-    """Return a hash of the source text of this package: another version plans again."""
+    """Return a hash of the source text of this package, so that another version replans."""
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parents[1].rglob('*.py')):
         digest.update(source.read_bytes())
@@ -160,7 +160,7 @@ class Jobs:
         plans: Path | None = None,
         folders: Sequence[str] | None = None,
     ):
-        self._folders = folders  #: Where files may lie, as for ``open_named``.
+        self._folders = folders  #: Allowed folders, as for ``open_named``.
         self._settings, self._setup = settings_of(settings)
         self._plans, self._scene = plans.resolve() if plans else None, _scene_hash(settings)
         models = [_model(name) for name in dict.fromkeys(machines)]

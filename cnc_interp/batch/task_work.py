@@ -29,16 +29,16 @@ from cnc_interp.run.plan_figures import collision_text
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings, with_texts
 
-#: A line, a corner and an exact stop: it loads what every task needs.
+#: A line, a corner and an exact stop, planned once to load what every task needs.
 TINY = b'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nY4\nM30\n'
-#: Figures of the summary that a row has, too.
+#: Figures of the summary that are also in a row.
 SAME = ('blocks', 'path_length', 'cycle_time', 'time_bound', 'standstill')
-#: The plan files whose content is the plan.
+#: Plan files that are part of the hash of a plan.
 PLAN = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
 
 
 def carry_out(task: Task, processes: int = 1) -> TaskOutcome:
-    """Plan and prove a program; whatever goes wrong becomes the verdict of the row."""
+    """Plan and prove a program; every failure becomes the verdict of the row."""
     began, used = time.perf_counter(), _processor_time()
     try:
         row = _planned(task, processes)
@@ -106,7 +106,7 @@ def _hash(files: Iterable[Path]) -> str:
 
 @cache
 def machine_of(model: Model) -> Machine:
-    """Return the machine of a text; ``Machine.load`` has found it sound before."""
+    """Return the machine of a text that ``Machine.load`` has already accepted."""
     return replace(from_mapping(parse_yaml(model.text)), file=model.file)
 
 

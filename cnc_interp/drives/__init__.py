@@ -1,1 +1,1 @@
-"""Drives and their model: how axes follow, what is left at the tool, and the inverse."""
+"""The model of the drives: how axes follow, the error at the tool, and the inverse."""

@@ -1,22 +1,22 @@
-"""Drives told more than their setpoints: the inverse of their model, in the velocity feed-forward.
+"""Compensated drives: the inverse of their model is sent as velocity feed-forward.
 
-The table shall be at r. With the equations of ``drive_model.py`` the motor must then be at
+For the table to be at r, the equations of ``drive_model.py`` require the motor to be at
 
     m = r + r'' / omega^2 - 2 zeta / omega^3 r''' + (w / 2) sign,
 
-where the sign is that of the last motion. The loops get it there, for any position setpoint c and
-velocity feed-forward g, if kv (c - m) + f g = m' + tau u with u = m'' + B m' + F. So the setpoints
-that were proven are sent bit for bit, some periods later, and all of the inverse goes into g:
+where the sign is that of the last motion. For any position setpoint c, the loops move it there if
+the velocity feed-forward g satisfies kv (c - m) + f g = m' + tau u with u = m'' + B m' + F. So the
+proven setpoints are sent unchanged, some periods later, and the whole inverse goes into g:
 
     f g = kv (m - c) + (1 + tau B) m' + tau m'' + tau F.
 
-Derivatives are those of polynomials through some setpoints before and after. To know those after,
-all tables are later by the same ``lead``, so the path stays the path. Setpoints of a drive with a
-longer dead time are sent earlier. Signs at a reversal are smoothed over a few milliseconds.
-Programs, stop tails and motion by hand are all compensated.
+Derivatives are taken of polynomials through some setpoints before and after. To know later
+setpoints, all axes are delayed by the same ``lead``, which does not change the path. Setpoints of
+a drive with a longer dead time are sent earlier. Signs at a reversal are smoothed over a few
+milliseconds. Programs, stop tails and motion by hand are all compensated.
 
-What earlier runs of a program have taught (``learning.py``) is added to g, while the setpoints are
-those of that program, bit for bit. After any other setpoint the added part fades to zero.
+The feed-forward learnt in earlier runs of a program (``learning.py``) is added to g while the
+setpoints are, bit for bit, those of that program. After any other setpoint it fades to zero.
 """
 
 import math
@@ -33,13 +33,13 @@ from cnc_interp.machine_model.machine import Machine
 
 BESIDE, FEWEST = 8e-3, 5  #: Setpoints to each side: time [s], least number.
 DEGREE = 5  #: Degree of the polynomials.
-#: Half of the time over which the motor crosses the backlash [s]: least, where the largest torque
-#: is not known, and the share of that torque that the crossing may take.
+#: Half of the time in which the motor crosses the backlash: least time, time if the largest torque
+#: is unknown [s]; and share of that torque that the crossing may use [-].
 QUICKEST, CROSSING, CROSSING_TORQUE = 2e-3, 4e-3, 0.6
 #: Half of the time over which friction changes its sign [s]; least number of periods of both.
 TURNING, SMOOTH_PERIODS = 2e-3, 1.5
-LEAST = 0.2  #: Least share of feed-forward that a drive must take.
-STILL, SLOW = 1e-12, 1e-7  #: Step and velocity below these are rest.
+LEAST = 0.2  #: Least share of feed-forward that a drive must accept [-].
+STILL, SLOW = 1e-12, 1e-7  #: Step and velocity below which an axis rests.
 
 FADE = 15e-3  #: Time in which the learnt part fades [s].
 #: Whole numbers before the rows of the axes: inner step, its memory, words of an axis, setpoints
@@ -59,7 +59,7 @@ IN_RATE, IN_MOTOR, STATE, COLUMNS, FIRST = 0, 3, 5, 8, 5
 
 @njit(cache=True, nogil=True)
 def compensate(words: FloatArray, known: int, setpoint: float) -> tuple[float, float]:
-    """Take the next setpoint of an axis; return what to send now."""
+    """Take the next setpoint of an axis; return the position and feed-forward to send now."""
     weights, motors = FIRST + IN_RATE * known, FIRST + IN_MOTOR * known
     r = FIRST + STATE * known
     sign, force = r + known, r + 2 * known
@@ -92,7 +92,7 @@ def compensate(words: FloatArray, known: int, setpoint: float) -> tuple[float, f
 
 @njit(cache=True, nogil=True)
 def find_row(head: IntArray, setpoints: FloatArray, wanted: FloatArray) -> float:
-    """Find the learnt row of the next setpoint, which is ``head[ROW]`` then."""
+    """Find the learnt row of the next setpoint, and store it in ``head[ROW]``."""
     row, left, fading = head[ROW], head[LEFT], head[FADING]
     if row > 0:
         row += 1
@@ -151,7 +151,7 @@ def compensate_all(
 
 
 class Compensation:
-    """What is computed once: the words of all axes, which stand at ``position`` [m, rad].
+    """The memory of a compensation: words of all axes, at rest at ``position`` [m, rad].
 
     Raises MachineError if a drive of ``model`` takes too little feed-forward of velocity.
     """
@@ -185,7 +185,7 @@ class Compensation:
         period: float,
         learnt: tuple[FloatArray, FloatArray] | None,
     ) -> FloatArray:
-        """Return the memory of ``compensate_once`` around a step of drives and its memory."""
+        """Return the memory of ``compensate_once``, given a step of drives and its memory."""
         axes, count = self.words.shape
         head = np.zeros(HEAD, dtype=np.int64)
         head[[STEP, MEMORY]] = step, memory.ctypes.data

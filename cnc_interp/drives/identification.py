@@ -1,14 +1,14 @@
-"""The model of a drive from what it did: a program that shows it, and a least-squares fit.
+"""Identify the model of a drive: a program that excites it, and a least-squares fit.
 
-The program moves one axis after the other, there and back at several speeds, which shows friction,
-backlash and lags. Then an axis continues in one direction while its feed alternates faster and
-faster (a chirp), which shows the loops and the flexible mode without sticking. Jerk-limited
-reversals come last. The planner keeps limits and travel, as for any other program.
+The program moves one axis after the other. Moves back and forth at several speeds show friction,
+backlash and lags. Then the axis moves in one direction while its feed alternates faster and faster
+(a chirp), which shows the loops and the flexible mode without sticking. Jerk-limited reversals
+come last. The planner keeps limits and travel, as for any other program.
 
-The loops have the transfer function (f s + kv) / (tau s^2 + (1 + tau B) s + kv). Positions show
-its three ratios only, so viscous friction B is taken from the machine file; kv, f and tau follow.
-Forces are known up to the inertia, which is taken from the file, too. Without it an axis is fitted
-without friction.
+The loops have the transfer function (f s + kv) / (tau s^2 + (1 + tau B) s + kv). Positions
+determine only its three ratios, so viscous friction B is taken from the machine file; kv, f and
+tau follow. Forces are determined only relative to the inertia, which is also taken from the file.
+Without an inertia, an axis is fitted without friction.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,25 +24,25 @@ from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Axis, Machine
 
 STILL = 1e-8  #: A setpoint step below this is rest [m, rad].
-SETTLING = 0.3  #: Setpoints after the last motion of an axis that still count [s].
-FORGOTTEN = 2  #: Reversals after which what happened before the recording is forgotten.
+SETTLING = 0.3  #: Time after the last motion of an axis that is still used [s].
+FORGOTTEN = 2  #: Number of reversals after which the state before the recording no longer matters.
 MODES = (22.0, 32.0, 45.0, 65.0)  #: Frequencies at which the search for the mode begins [Hz].
-SEARCH, LAST = 6, 60  #: Steps of a first search and of the last one.
-GAIN = 1e-4  #: A search that lowers the squares by less than this is the last one.
-WHOLE = 0.98  #: Share of positions that are whole steps of a measuring system.
-CORRELATED = 0.1  #: Errors further apart are not correlated, unless at one place [s].
+SEARCH, LAST = 6, 60  #: Most steps of the first searches, and of the last one.
+GAIN = 1e-4  #: The search ends if the sum of squares falls by less than this share [-].
+WHOLE = 0.98  #: Least share of positions at whole steps of a measuring system [-].
+CORRELATED = 0.1  #: Errors farther apart in time are uncorrelated, unless at the same place [s].
 SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
 
 
 @dataclass(frozen=True)
 class Parameter:
     name: str  #: Field of ``AxisDrive``, or ``coulomb``.
-    start: float  #: Where the search begins; for rotary axes lengths are taken as angles.
+    start: float  #: Start of the search; for rotary axes lengths are taken as angles.
     low: float
     high: float
 
 
-#: What is fitted, in SI; friction over the inertia.
+#: Fitted values in SI; friction is divided by the inertia.
 LOOPS = (
     Parameter('position_gain', 50.0, 3.0, 900.0),
     Parameter('feed_forward', 0.95, 0.0, 1.2),
@@ -82,7 +82,7 @@ def identify_axis(
     rates: FloatArray,
     feedback: FloatArray,
 ) -> IdentifiedAxis | None:
-    """Fit the model of one axis; None where it did not move.
+    """Fit the model of one axis; None if it did not move.
 
     ``setpoints``, ``rates``, ``feedback`` (K, n_axes): with measured positions [m, rad, per s].
     Raises InterpError if the axis turned too seldom to show its friction and backlash.
@@ -113,7 +113,7 @@ def identify_axis(
 
 
 def resolution_of(positions: FloatArray) -> float:
-    """Return the step of the measuring system; 0 where positions are no multiples of one."""
+    """Return the step of the measuring system; 0 if positions are not multiples of a step."""
     steps = np.diff(np.unique(positions))
     steps = steps[steps > 1e-12]
     if len(steps) < 10:
@@ -141,7 +141,7 @@ def _after_reversals(setpoint: FloatArray) -> BoolArray:
 
 
 def _near_motion(setpoint: FloatArray, period: float) -> BoolArray:
-    """Return where the axis moves or settles; a long rest repeats one rounding."""
+    """Return where the axis moves or settles; a long rest would only repeat one rounding error."""
     moves = np.abs(np.diff(setpoint, prepend=setpoint[0])) > STILL
     last = np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -len(moves)))
     return np.arange(len(moves)) - last <= SETTLING / period
@@ -348,7 +348,7 @@ ROOM = 0.4  #: Largest share of the travel to one side.
 
 
 def excitation(machine: Machine) -> str:
-    """Write the program for all axes, which ends where they stand; MachineError without room."""
+    """Write the program for all axes, which ends where it begins; MachineError without room."""
     lines = [f'(EXCITATION OF THE AXES OF {machine.name.upper()}: for cnc-interp identify)']
     moving = [axis for axis in machine.axes if not axis.locked]
     lines += ['G21 G94 G91', 'TRAFOOF', 'G0 ' + ' '.join(f'{axis.name}0' for axis in moving)]
@@ -361,7 +361,7 @@ def excitation(machine: Machine) -> str:
 
 
 def _moves(axis: Axis) -> Iterator[tuple[float, float]]:
-    """Yield way [m or rad] and speed of each move; their sum is zero."""
+    """Yield way [m or rad] and speed of each move; the ways add up to zero."""
     v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
     room = ROOM * min(abs(axis.travel[0]), abs(axis.travel[1]))
     if not room > 0.0:

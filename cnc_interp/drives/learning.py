@@ -1,9 +1,9 @@
-"""What is added to the feed-forward of compensated drives after a run of the same program.
+"""Learn a correction of the feed-forward of compensated drives from a run of the same program.
 
-The table was off its late setpoint by e. With the loops of ``drive_model.py`` the velocity
+The table missed its delayed setpoint by e. By the loops of ``drive_model.py``, the velocity
 feed-forward that moves it by e is ``f dg = kv e + (1 + tau B) e' + tau e''``, sent earlier by the
-dead time. All of it is smoothed by a low pass without phase, below the flexible mode: where the
-model is wrong by more than the error that is left, learning would make the error larger.
+dead time. The correction is smoothed by a zero-phase low pass below the flexible mode. Where the
+model error exceeds the remaining error, learning would make the error larger.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform_port import Transform
 
-#: Largest cutoff of the low pass [Hz], and its largest share of the frequency of the mode.
+#: Largest cutoff of the low pass [Hz], and its largest share of the mode's frequency [-].
 CUTOFF, SHARE = 40.0, 0.65
-FASTEST = 0.2  #: Cutoff over the sampling rate, at most: for long periods.
-#: Time for which the last setpoint is held after the program, and its end in which the learnt
-#: part fades to zero [s].
+FASTEST = 0.2  #: Largest cutoff over the sampling rate, which matters for long periods [-].
+#: Time for which the last setpoint is held after the program, and the last part of it in which the
+#: learnt part fades to zero [s].
 HELD, FADES = 0.3, 0.2
-COMES = 5e-3  #: Time in which the learnt part comes at the start; it precedes the motion [s].
+COMES = 5e-3  #: Time in which the learnt part fades in at the start, before the motion [s].
 
 
 def with_hold(setpoints: FloatArray, period: float) -> FloatArray:
-    """Return setpoints (K, n_axes) from the first motion, and the last one held after them."""
+    """Return setpoints (K, n_axes) from the first motion on; the last one is held for a while."""
     held = np.repeat(setpoints[-1:], math.ceil(HELD / period), axis=0)
     return np.concatenate([setpoints[start_of(setpoints) :], held])
 
@@ -51,10 +51,10 @@ def learnt_rates(
     feedback: FloatArray,
     before: FloatArray | None = None,
 ) -> FloatArray:
-    """Return what is added to the feed-forward in the next run, (K, n_axes) [m, rad, per s].
+    """Return the learnt feed-forward for the next run, (K, n_axes) [m, rad, per s].
 
-    ``lead``: time by which all axes are late [s]; ``setpoints``: from ``with_hold``; ``feedback``
-    (F, n_axes): the error is held after it; ``before``: what was added in that run.
+    ``lead``: delay of all axes [s]; ``setpoints``: from ``with_hold``; ``feedback`` (F, n_axes):
+    after its end the error is held; ``before``: the learnt feed-forward of that run.
     """
     errors = late(setpoints, lead / period)[: len(feedback)] - feedback
     held = np.repeat(errors[-1:], len(setpoints) - len(errors), axis=0)
@@ -74,7 +74,7 @@ def learnt_rates(
 
 
 def late(rows: FloatArray, periods: float) -> FloatArray:
-    """Return rows later by some periods, linear between them; the ends are held."""
+    """Return rows delayed by some periods, interpolated linearly; the ends are held."""
     number = np.arange(len(rows))
     return np.stack([np.interp(number - periods, number, row) for row in rows.T], axis=1)
 
@@ -82,7 +82,7 @@ def late(rows: FloatArray, periods: float) -> FloatArray:
 def measured_error(
     machine: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray
 ) -> FloatArray:
-    """Return errors of measured positions, (F, 2) [m, rad], late by ``lead`` [s], from rest."""
+    """Return errors of measured positions, (F, 2) [m, rad], for axes delayed by ``lead`` [s]."""
     transform, ahead = Transform.of(machine), math.ceil(AHEAD / period)
     before = memory_of(period, lead)
     commanded = np.concatenate(
@@ -112,7 +112,7 @@ SAME_PERIOD = 1e-12  #: A period that differs by less is the same [s].
 
 @dataclass(frozen=True)
 class LearntMotion:
-    """The setpoints of a program, and what is added to the feed-forward of each."""
+    """The setpoints of a program, and the learnt feed-forward of each."""
 
     #: (K, n_axes): Setpoints from the first motion on; the last one is held for a while [m, rad].
     setpoint: FloatArray
@@ -164,7 +164,7 @@ def hash_of(name: str) -> str:
 
 
 def learnt_for(path: Path, machine: str, model: str, period: float) -> LearntMotion:
-    """Load what was learnt for a machine, model and period; InterpError if for another one."""
+    """Load learnt motion; InterpError unless it was learnt for this machine, model and period."""
     if not model:
         raise InterpError('learnt: is added to compensation; name its model with --compensate')
     motion, again = LearntMotion.load(path), 'record runs with it and learn again'

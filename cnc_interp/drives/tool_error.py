@@ -1,4 +1,4 @@
-"""What the drives leave of a motion at the tool: how far tip and axis are off their path."""
+"""The error of the drives at the tool: deviations of tip and tool axis from their path."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 
-HEIGHT = 0.03  #: Poses are as near as their tips and the points so high on their tool axes [m].
+#: Height of a second point on the tool axis, with which distances of poses are measured [m].
+HEIGHT = 0.03
 SETTLING = 0.1  #: Time after the last setpoint in which the axes settle [s].
 AHEAD = 0.01  #: A table that brakes is ahead of its setpoints by less than this [s].
 
 
 @dataclass(frozen=True)
 class ToolError:
-    """Errors of the executed motion, one row per period; they do not count lags along the path."""
+    """Errors of the executed motion, one row per period, without lags along the path."""
 
     tip: FloatArray  #: (K,): Distance of the tip from the path of the commanded tips [m].
     axis: FloatArray  #: (K,): Angle between tool axis and the commanded one at that place [rad].
 
 
 class ToolMotion:
-    """Simulated drives, at first at ``position``, and the error that they leave at the tool."""
+    """Simulated drives, beginning at ``position``, and their error at the tool."""
 
     def __init__(
         self, machine: Machine, period: float, position: FloatArray, model: Machine | None = None
@@ -44,7 +45,8 @@ class ToolMotion:
             self._compensation, self._known = compensation.words, compensation.known
             self.lag = compensation.lead
         self._memory = memory_of(period, self.lag)
-        self.late = math.ceil(AHEAD / period)  #: Rows by which errors come later.
+        #: Number of rows by which errors are returned later.
+        self.late = math.ceil(AHEAD / period)
         self._period, self._last = period, position
         tip, axis = self._transform.forward(position[None, :])
         known = self._memory + self.late
@@ -120,7 +122,7 @@ def on_chord(path: FloatArray, k: int, point: FloatArray) -> tuple[float, float]
 def path_and_axis_errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
-    """Find the errors of pose i by the nearest tip, and by the nearest pose, from chord i on."""
+    """Find the errors of pose i by nearest tip and by nearest pose, searching from chord i on."""
     path = np.concatenate((tips, HEIGHT * axes), axis=1)
     poses = np.concatenate((tip, HEIGHT * axis), axis=1)
     found = np.zeros((len(poses), 2))
@@ -146,7 +148,7 @@ class ErrorSeries:
     #: (n_axes,): c1 and c2 [s, s2].
     by_velocity: FloatArray
     by_acceleration: FloatArray
-    away: FloatArray  #: (n_axes,): Error that stays in steady motion, against it [m or rad].
+    away: FloatArray  #: (n_axes,): Error that remains in steady motion, opposite to it [m or rad].
     lag: float  #: The common lag; if compensated, beyond ``Compensation.lead`` [s].
 
 

@@ -1,1 +1,1 @@
-"""What a machine is: its file, axes and drives, and tool tip and tool axis <-> axes."""
+"""The machine: its file, axes and drives, and its kinematics."""

@@ -22,7 +22,7 @@ from cnc_interp.machine_model.machine_entries import (
 )
 
 LONGEST_URDF = 1 << 22  #: [bytes].
-#: Times in which a joint is guessed to reach its velocity and its acceleration [s].
+#: Guessed times in which a joint reaches its largest velocity and acceleration [s].
 GUESS = (0.4, 0.1)
 ORDERS = ('velocity', 'acceleration', 'jerk')
 ORIGIN = {'xyz': '0 0 0', 'rpy': '0 0 0'}
@@ -33,19 +33,19 @@ class Arm:
     """An arm at zero, in the workpiece frame W, with its joints from the part to the tool."""
 
     joints: tuple[str, ...]  #: Names in the URDF.
-    #: All its joints, parents before children, to ``tool_tip`` and ``workpiece`` too.
+    #: All its joints, parents before children; those to ``tool_tip`` and ``workpiece`` included.
     tree: tuple[Joint, ...]
     urdf: str  #: Its URDF.
     lines: FloatArray  #: (n, 6): Direction of each joint [-], and a point on it [m].
     #: (3, 3): Tip [m], side and axis of the tool [-]; the axis points away from the part.
     tool: FloatArray
-    home: FloatArray  #: (n,): Configurations near these positions are preferred [rad].
+    home: FloatArray  #: (n,): Positions near which configurations are preferred [rad].
     spin: float  #: Turn of the tool about its axis [rad].
-    guessed: tuple[str, ...] = field(default_factory=tuple)  #: Limits that are not known.
+    guessed: tuple[str, ...] = field(default_factory=tuple)  #: Names of limits that are guessed.
 
 
 def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, ...]]:
-    """Read what a machine file says of an arm; files that it names are in ``folder``."""
+    """Read the machine file of an arm; the files that it names are in ``folder``."""
     text, robot = _robot(content, folder)
     elements = {joint.get('name', ''): joint for joint in robot.iter('joint')}
     parents = {_link(joint, 'child'): joint for joint in elements.values()}
@@ -125,7 +125,7 @@ def _tree(
 
 
 def without_files(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return what a machine file says of an arm with the files that it names inside it."""
+    """Return the machine file of an arm, with the content of the files that it names."""
     found = {**content, 'urdf': _robot(content, folder)[0]}
     if isinstance(content.get('joint_limits'), str):
         found['joint_limits'] = read_yaml(folder / content['joint_limits'])['joint_limits']

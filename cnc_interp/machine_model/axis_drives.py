@@ -1,4 +1,4 @@
-"""How the drive of each axis follows its setpoints: the section ``drives`` of a machine file."""
+"""The section ``drives`` of a machine file: how the drive of each axis follows its setpoints."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -53,13 +53,13 @@ def _friction(value: Any, key: str) -> float:
 
 @dataclass(frozen=True)
 class AxisDrive:
-    """The drive of one axis (``drives/drive_model.py``); the values are those of ideal drives."""
+    """The drive of one axis (``drives/drive_model.py``); the defaults are an ideal drive."""
 
     position_gain: float = 100.0  #: ``kv`` of the position loop [1/s].
     feed_forward: float = 1.0  #: Share ``f`` of the setpoint's velocity that is fed forward [-].
     time_constant: float = 2e-3  #: Lag ``tau`` of the velocity loop [s].
     delay: float = 0.0  #: Dead time of the setpoints [s].
-    static: float = 0.0  #: Friction at rest; 0 where it is the Coulomb friction [N or Nm].
+    static: float = 0.0  #: Friction at rest; 0 if it equals the Coulomb friction [N or Nm].
     #: Velocity at which the excess of ``static`` has fallen to 1/e [m/s or rad/s].
     stribeck_velocity: float = 0.0
     backlash: float = 0.0  #: Play between motor and table [m or rad].
@@ -70,16 +70,16 @@ class AxisDrive:
 
     @property
     def lag(self) -> float:
-        """How much later than its setpoint the axis is there, about [s]."""
+        """Approximate lag of the axis behind its setpoint [s]."""
         return 1.0 / self.position_gain + self.time_constant + self.delay
 
 
-IDEAL = AxisDrive()  #: The drive of an axis without an entry.
+IDEAL = AxisDrive()  #: Drive of an axis without an entry.
 
 
 class Entry(NamedTuple):
     field: str  #: Field of ``AxisDrive``.
-    #: Key for a linear and for a rotary axis; the unit ends it.
+    #: Key for a linear and for a rotary axis; it ends with the unit.
     linear: str
     rotary: str
     #: Size of the units in SI.
@@ -90,7 +90,7 @@ class Entry(NamedTuple):
     high: float
 
 
-#: The values of a drive in the order of the file; the first ``NEEDED`` must be given.
+#: Values of a drive in the order of the file; the first ``NEEDED`` are required.
 ENTRIES = (
     Entry('position_gain', 'position_gain_per_s', 'position_gain_per_s', 1.0, 1.0, 1.0, 1e3),
     Entry('feed_forward', 'feed_forward', 'feed_forward', 1.0, 1.0, 0.0, 1.2),

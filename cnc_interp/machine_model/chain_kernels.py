@@ -1,10 +1,10 @@
-"""A chain of joints from the part to the tool, compiled: place, inverse, and exact jets.
+"""A chain of joints from the part to the tool, compiled: forward, inverse, and exact jets.
 
-Each joint is a line in W at q = 0: the direction and a point of its axis. With all of them turned,
+Each joint is a line in W at q = 0: the direction and a point of its axis. A point x of the tool is
 
-    x(q) = S_1(q_1) ... S_n(q_n) x(0),   S_i(q) x = a_i + Rot(u_i, q) (x - a_i)
+  x(q) = S_1(q_1) ... S_n(q_n) x(0),   S_i(q) x = a_i + Rot(u_i, q) (x - a_i)
 
-for points of the tool, the last joint nearest to it. Directions turn likewise, without the points.
+where joint n is nearest to the tool. Directions turn likewise, without the points a_i.
 """
 
 from math import pi
@@ -19,11 +19,12 @@ from cnc_interp.core.kernels import njit
 #: the tip and the side of the tool at q = 0; its axis, then reach [m], spin [rad].
 DIRECTION, POINT = slice(0, 3), slice(3, 6)
 TIP, SIDE, AXIS, REACH, SPIN = 0, 3, 0, 3, 4
-#: Newton: most steps, longest one [rad], and the misfit at which it has ended [-].
+#: Newton's method: most steps, longest step [rad], and misfit at which it ends [-].
 STEPS, LONGEST, ENDED = 60, 0.4, 1e-13
-UNSOLVED, REVERSED = -1.0, 0.0  #: Measures of poses out of reach, and past a singular pose.
-NO_JOINT = -1  #: Leads: the spin does.
-#: Sine of the angle to part -Z at which no side of the tool is defined.
+#: Measures of poses that are out of reach, or beyond a singular pose.
+UNSOLVED, REVERSED = -1.0, 0.0
+NO_JOINT = -1  #: Value of ``leads`` if the spin leads.
+#: Below this sine of the angle to part -Z, the side of the tool is undefined [-].
 LEAST_UPRIGHT = 1e-6
 
 
@@ -31,7 +32,8 @@ LEAST_UPRIGHT = 1e-6
 def posture(packed: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return tip [m], side and axis of the tool in W, (3, 3), at joint positions (n,) [rad].
 
-    With them, how the tip, over the reach, and the tool turn with each joint, (6, n) [1/rad, -].
+    Also return the rates of the tip, divided by the reach, and of the turn of the tool with each
+    joint, (6, n) [1/rad, -].
     """
     n, reach = len(q), packed[len(q) + 1, REACH]
     turn, shift, step = np.eye(3), np.zeros(3), np.empty((3, 3))
@@ -89,7 +91,7 @@ def skew(u: FloatArray, i: int, j: int) -> float:
 def factorised(a: FloatArray, order: FloatArray) -> tuple[float, float]:
     """Factorise a square matrix in place; return its smallest pivot and the determinant's sign.
 
-    ``order`` (n,) gets the rows that were chosen.
+    ``order`` (n,) receives the pivot rows.
     """
     n, sign, least = len(a), 1.0, np.inf
     for k in range(n):
@@ -142,9 +144,9 @@ def crossed(a: VectorJet, b: VectorJet) -> VectorJet:
 
 @njit(cache=True, nogil=True, error_model='numpy')  # not finite where the tool points down
 def side_jets(o: VectorJet, spin: Jet) -> VectorJet:
-    """Return the jets of the side of a tool along ``o``, so turned about it [rad].
+    """Return the jets of the side of a tool along ``o``, turned about it by ``spin`` [rad].
 
-    At zero it is part X carried from part Z to o by the least turn.
+    At spin zero it is part X, carried along by the least turn from part Z to o.
     """
     share = jet.divide(o[0], (1.0 + o[2][0], o[2][1], o[2][2], o[2][3]))
     x = (
@@ -201,7 +203,7 @@ def tool_jets(packed: FloatArray, q: FloatArray, last: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def misfit(tool: FloatArray, wanted: FloatArray, reach: float, k: int, first: int) -> FloatArray:
-    """Return coefficient k of wanted less found place, (6,): tip over reach, turn [-].
+    """Return coefficient k of wanted minus found pose, (6,): tip over reach, turn [-].
 
     Both are jets of tip, side and axis, (3, 3, 4). If all lower orders agree, a turn d moves the
     sum of r x e over side and axis (``first`` 1) by d + y (y . d), with y across both. For the
@@ -235,10 +237,12 @@ def joint_jets(
 ) -> tuple[FloatArray, float]:
     """Return the joints with three Taylor coefficients, (4, n), for jets of tip and tool axis.
 
-    ``lead`` is the jet of the sixth freedom: of joint ``leads``, or of the spin if that is
-    ``NO_JOINT``. Newton begins ``near`` (n,). The measure is the square of the smallest pivot of
-    the rates of the pose; it is ``UNSOLVED`` out of reach, and ``REVERSED`` where the sign of
-    their determinant is not ``sense``, so that a singular pose lies between; 0 takes both.
+    ``lead`` is the jet of the sixth degree of freedom: of joint ``leads``, or of the spin if that
+    is ``NO_JOINT``. Newton's method begins at ``near`` (n,). The returned measure is the square of
+    the smallest pivot of the pose rates. It is ``UNSOLVED`` out of reach. It is ``REVERSED`` if
+    the sign of their determinant differs from ``sense``, because a singular pose then lies
+    between;
+    ``sense`` 0 accepts both signs.
     """
     n, spins = len(near), leads == NO_JOINT
     q, order = np.zeros((4, n)), np.empty(n)
@@ -323,7 +327,7 @@ def pose_jets(
 def solutions(
     packed: FloatArray, tip: FloatArray, axis: FloatArray, seeds: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joints (m, n) in (-pi, pi] from seeds (m, n), and the measures (m,), for a pose."""
+    """Solve a pose from seeds (m, n); return joints (m, n) in (-pi, pi], and measures (m,)."""
     still = np.zeros(3)
     p, o = pose_jets(tip, axis, still, still)
     found, measure = np.empty_like(seeds), np.empty(len(seeds))
@@ -340,7 +344,7 @@ def followed(
 ) -> tuple[FloatArray, float]:
     """Follow poses (m, 3) from joints near the first one; return joints (m, n), least measure.
 
-    It ends where a pose is out of reach, or beyond a singular one.
+    Following ends at a pose that is out of reach, or beyond a singular pose.
     """
     q, least, sense = np.empty((len(tip), len(start))), np.inf, 0.0
     near, still, order = start.copy(), np.zeros(3), np.empty(len(start))

@@ -1,4 +1,4 @@
-"""What an entry of a machine file needs, and all mistakes of a file at once."""
+"""Check requirements of machine file entries, and collect all mistakes of a file."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,13 +7,13 @@ from cnc_interp.core import MachineError
 
 
 def demand(holds: object, text: str, key: str = '') -> None:
-    """Raise MachineError about the entry ``key`` unless what it needs holds."""
+    """Raise MachineError about the entry ``key`` unless a condition holds."""
     if not holds:
         raise MachineError(text, key)
 
 
 class Mistakes:
-    """The mistakes of entries that do not depend on each other; ``with`` continues after one."""
+    """Collects mistakes of independent entries; as a context it continues after a mistake."""
 
     def __init__(self) -> None:
         self.found = list[MachineError]()
@@ -27,7 +27,7 @@ class Mistakes:
         return isinstance(problem, MachineError)
 
     def read(self, reader: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a reader makes of an entry, None after a mistake."""
+        """Return the result of a reader for an entry; None after a mistake."""
         with self:
             return reader(*arguments)
         return None

@@ -40,12 +40,12 @@ from cnc_interp.machine_model.five_axis_kernels import (
 )
 from cnc_interp.machine_model.machine import Machine
 
-ON_POLE = 1e-9  #: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
+ON_POLE = 1e-9  #: A tool axis is on the pole if the sine of the angle between them is smaller [-].
 
 
 @dataclass(frozen=True)
 class FiveAxis:
-    """Machines of X Y Z, up to two rotary axes and extra axes; fills the port ``Transform``."""
+    """Machines with X Y Z, up to two rotary axes and extra axes; implements ``Transform``."""
 
     machine: Machine  #: The machine.
     #: (29 + 3 k,): Its geometry as one array; the last 3 k values are directions of k extra axes.
@@ -101,7 +101,7 @@ class FiveAxis:
         return np.asarray(np.arccos(np.clip(np.maximum(top, -bottom), -1.0, 1.0)))
 
     def levers(self, stands: FloatArray, rotary: FloatArray, height: float) -> FloatArray:
-        """Return how far a point so high on the tool axis moves in W per radian, (n, 2) [m]."""
+        """Return how far a point on the tool axis moves in W per radian, (n, 2) [m]."""
         machine = self.machine
         u1, u2 = machine.rotary_direction
         first_on_head, second_on_head = machine.rotary_on_head
@@ -173,8 +173,8 @@ class FiveAxis:
     ) -> list[FloatArray]:
         """Return the rotary positions (2,) [rad] of a tool axis (3,), branch +1 first.
 
-        Each has the whole turns nearest to ``near``; ``free`` gives the outer axis, which any
-        position does if the tool axis lies on the pole. Out of reach the list is empty.
+        Each has the whole turns nearest to ``near``. If the tool axis is on the pole, the outer
+        axis is undetermined and takes the value ``free``. Out of reach the list is empty.
         """
         found = self.rotary_solutions(axis)
         if free is not None:

@@ -9,10 +9,10 @@ from cnc_interp.core.jet import Jet, Vector, VectorJet
 from cnc_interp.core.kernels import njit
 
 #: Places of the vectors in the packed geometry: directions of both rotary axes [-], then m, d, e
-#: and both arms of the tool [m]; see ``Transform.of``.
+#: and both arms of the tool [m]; see ``FiveAxis.of``.
 PRIMARY, SECONDARY, WORKPIECE, SECOND_OFFSET, FIRST_OFFSET, TIP_ARM, HEAD_ARM = range(0, 21, 3)
-#: Places of the numbers: whether each rotary axis carries the tool (two of them), the index of the
-#: outer axis, the sense of outer and inner axis; then the vector Head(0) [m].
+#: Places of the numbers: whether each of the two rotary axes carries the tool, index of the outer
+#: axis, senses of outer and inner axis; then the vector Head(0) [m].
 ON_HEAD, OUTER, OUTER_SIGN, INNER_SIGN, HEAD_ZERO, SIZE = 21, 23, 24, 25, 26, 29
 #: From SIZE on follow the directions of the extra axes, three values each.
 
@@ -50,8 +50,8 @@ def rotary_jets(
 ) -> tuple[Jet, Jet, float]:
     """Solve the rotary axes for a unit tool axis ``o`` in W, nearest to given positions.
 
-    Returns inner and outer axis [rad], and the squared sine of the tilt: negative out of reach;
-    zero at the pole, where the jets are not finite.
+    Returns inner and outer axis [rad], and the squared sine of the tilt. The latter is negative
+    out of reach, and zero at the pole, where the jets are not finite.
     """
     u, w = outer_and_inner(packed)
     c0 = w[2] * (w[0] * u[0] + w[1] * u[1] + w[2] * u[2])
@@ -101,7 +101,7 @@ def rotary_jets(
 def guided_jets(
     packed: FloatArray, o: VectorJet, turn: Jet, tilt_near: float, turn_near: float
 ) -> tuple[Jet, Jet]:
-    """Return the jets of tilt and turn for a tool axis, where the turn is given [rad].
+    """Return the jets of tilt and turn for a tool axis, given the turn [rad].
 
     With the outer axis at a, the tool can reach the small circle of ``Rot(w, b) e_z`` about w.
     The nearest point to o' = Rot(u, -a) o on it has the azimuth of o' about w. So the tool axis

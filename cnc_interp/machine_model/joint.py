@@ -1,4 +1,4 @@
-"""A joint between two links of a machine, as URDF has it."""
+"""A joint between two links of a machine, as in URDF."""
 
 from dataclasses import dataclass
 
@@ -22,12 +22,12 @@ class Joint:
     along: Vector = UP  #: Unit direction of the axis in the frame of the child [-].
     travel: tuple[float, float] = (0.0, 0.0)  #: Lowest and highest position [m or rad].
     max_velocity: float = 0.0  #: Velocity limit [m/s or rad/s].
-    axis: int = -1  #: Index of the axis; -1 of a fixed connection.
+    axis: int = -1  #: Index of the axis; -1 if the connection is fixed.
     rpy: Vector = ZERO  #: Turn of the child about fixed X, then Y, then Z, at zero [rad].
 
     @property
     def turn(self) -> FloatArray:
-        """(3, 3): How the child is turned in the frame of the parent, with the axis at zero."""
+        """(3, 3): Rotation of the child in the frame of the parent, with the axis at zero."""
         return rotation(*self.rpy)
 
 

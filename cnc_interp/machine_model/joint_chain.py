@@ -1,8 +1,8 @@
-"""An arm as a chain of joints from the part to the tool; it fills the port ``Transform``.
+"""An arm as a chain of joints from the part to the tool; it implements ``Transform``.
 
-A path gives five of six freedoms. The sixth, the turn of the tool about its own axis, is the
-*spin*: the side of the tool is part X, carried from part Z to the tool axis by the least turn and
-then turned by the spin about it. docs/how_it_works/arms.md has the equations.
+A path determines five of six degrees of freedom. The sixth, the turn of the tool about its own
+axis, is the *spin*. The side of the tool is part X, carried along by the least turn from part Z to
+the tool axis, and then turned about the tool axis by the spin. See docs/how_it_works/arms.md.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from cnc_interp.machine_model import chain_kernels as kernel
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine, arm_of
 
-SEEDS = 128  #: Joint positions from which Newton begins to find all configurations.
-SAME = 1e-6  #: Solutions that differ less are one [rad].
-CLOSE = 1e-4  #: How exactly the nearest singular pose is found [rad].
+SEEDS = 128  #: Number of joint positions from which Newton's method searches all configurations.
+SAME = 1e-6  #: Solutions that differ by less are equal [rad].
+CLOSE = 1e-4  #: Accuracy with which the nearest singular pose is found [rad].
 SHARE = 0.35  #: Joints with at least this part of the largest rate turn against each other [-].
-NEARBY = np.linspace(0.0, 30.0, 121) * DEG  #: How far from a pose singular ones are looked for.
+#: Distances from a pose at which singular poses are searched [rad].
+NEARBY = np.linspace(0.0, 30.0, 121) * DEG
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,14 @@ class JointChain:
         return float(np.arctan2(np.cross(x, side) @ axis, x @ side))
 
     def reached(self, tip: FloatArray, axis: FloatArray, stands: FloatArray) -> FloatArray:
-        """Return the joints (n,) nearest to where they stand that bring the tool to a pose.
+        """Return the joints (n,) for a pose of the tool that are nearest to the present ones.
 
         The tool keeps its spin. Raises BlockError if no configuration reaches the pose.
         """
         return self.standing(stands).start(tip, axis, 0)[0]
 
     def standing(self, q: FloatArray) -> JointChain:
-        """Return the chain that begins where the joints stand (n,), and keeps the spin there."""
+        """Return the chain that begins at the present joints (n,), and keeps their spin."""
         return self.spun(self.spin_at(q)).starting(q)
 
     def starting(self, home: FloatArray) -> JointChain:
@@ -87,7 +88,7 @@ class JointChain:
         return np.asarray(kernel.rates(self.packed, arm_of(self.machine).home, *rows))
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return what X Y Z of programs count: the tool tip in W."""
+        """Return the X Y Z of programs, which are the tool tip in W."""
         return np.asarray(tip)
 
     def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
@@ -99,7 +100,8 @@ class JointChain:
     def branches(self, tip: FloatArray, axis: FloatArray) -> FloatArray:
         """Return the joints of each configuration that reaches a pose, the nearest to home first.
 
-        Whole turns are those nearest to home within the travel. What is singular is left out.
+        Whole turns are those nearest to home within the travel. Singular configurations are left
+        out.
         """
         home = arm_of(self.machine).home
         low, high = self.machine.travel.T
@@ -123,11 +125,11 @@ class JointChain:
         return float(np.sin(self.machine.singular_cone)) ** 2
 
     def sense(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> float:
-        """Return the sign that the determinant of the rates keeps on a path that a joint leads."""
+        """Return the sign of the rates' determinant, constant on a path led by a joint."""
         return float(np.sign(np.linalg.det(self.pose_rates(q, leads))))
 
     def pose_rates(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> FloatArray:
-        """Return the rates of the pose (6, n); the spin is in the place of a joint that leads."""
+        """Return the rates of the pose (6, n); the spin replaces a joint that leads."""
         tool, rates = kernel.posture(self.packed, q)
         if leads != kernel.NO_JOINT:
             rates[:3, leads], rates[3:, leads] = 0.0, tool[2]

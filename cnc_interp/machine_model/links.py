@@ -4,7 +4,7 @@ Two branches leave the machine frame M: X, Y, Z and the axes that carry the tool
 ``tool_tip``; the axes that carry the workpiece, down to ``workpiece``, the frame of programs.
 Joints have the names of the axes. With all axes at zero, all frames are parallel to M.
 
-Links and joints of an arm are those of its URDF, from its base on. A fixed joint leads from the
+An arm has the links and joints of its URDF, beginning at the base. A fixed joint leads from the
 flange to ``tool_tip``, whose Z is the tool axis, and another one from the base to ``workpiece``.
 """
 
@@ -14,7 +14,8 @@ from cnc_interp.machine_model.joint import TOOL_TIP, WORKPIECE, ZERO, Joint, Vec
 from cnc_interp.machine_model.machine import Machine
 
 BASE = 'base_link'
-UNLIMITED = 10.0  #: Travel of a linear axis without limits, because URDF requires numbers [m].
+#: Travel written for a linear axis without limits, because URDF requires numbers [m].
+UNLIMITED = 10.0
 
 
 def joints_of(machine: Machine) -> tuple[Joint, ...]:

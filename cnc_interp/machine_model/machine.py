@@ -98,32 +98,33 @@ class Machine:
     name: str  #: Name of the machine.
     #: ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes; extra axes follow.
     axis_names: tuple[str, ...]
-    limits: Limits  #: What each axis can do.
-    rotary_direction: FloatArray  #: (2, 3): What primary and secondary turn about, in M [-].
-    #: True where the rotary axis carries the tool, False where it carries the workpiece.
+    limits: Limits  #: Limits of the axes.
+    rotary_direction: FloatArray  #: (2, 3): Directions of primary and secondary axis in M [-].
+    #: Whether each rotary axis carries the tool (True) or the workpiece (False).
     rotary_on_head: tuple[bool, bool]
     offsets: FloatArray  #: (3, 3): Workpiece, secondary and primary offset [m].
     tool_offset: FloatArray  #: (2, 3): On heads: tip to secondary, then to primary pivot [m].
     singular_cone: float  #: Smallest allowed angle between a turning tool axis and the pole [rad].
     #: (k, 3): Unit vectors in M along which the extra axes move the tool [-].
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    #: For axes whose drives are not ideal: how they follow their setpoints.
+    #: Drives of the axes that are not ideal, by axis name.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
-    #: Largest following error of axes that have their own [m or rad].
+    #: Largest following error of axes with their own limit [m or rad].
     following_errors: dict[int, float] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
     homing: entries.ReferenceSwitches = field(default_factory=entries.ReferenceSwitches)
-    #: How its control goes through short blocks, if that is slower than the axes allow.
+    #: Pace of its control on short blocks, if slower than the axes allow.
     pace: entries.BlockPace | None = None
-    #: How long the path rests for tool changes and the spindle.
+    #: Times at which the path rests for tool changes and the spindle.
     standstill: entries.Standstill = field(default_factory=entries.Standstill)
-    #: What its control means by a program: choices of the reader, by name.
+    #: Choices of the program reader for its control, by name.
     control: dict[str, Any] = field(default_factory=dict)
-    macros: tuple[Macro, ...] = ()  #: Keys of the page.
+    macros: tuple[Macro, ...] = ()  #: Lines of G-code for keys of the page.
     #: Its outputs and inputs, and the functions of a program that switch them.
     signals: Signals = field(default_factory=Signals)
-    arm: Arm | None = None  #: Its joints, if it is an arm: all its axes, without linear ones.
-    file: str = ''  #: Where it was read from; empty for bundled machines, which their name finds.
+    arm: Arm | None = None  #: Its joints, if it is an arm; an arm has no linear axes.
+    #: File from which it was read; empty for bundled machines, which are found by name.
+    file: str = ''
 
     @cached_property
     def is_linear(self) -> BoolArray:
@@ -134,7 +135,7 @@ class Machine:
 
     @property
     def max_velocity(self) -> FloatArray:
-        """(n_axes,): The largest limits, as the next two; see ``limits`` for the others."""
+        """(n_axes,): Velocity limits, the largest of all positions; see ``limits``."""
         return self.limits.max_velocity
 
     @property
@@ -159,7 +160,7 @@ class Machine:
         return tuple(Axis(**vars(of), name=name, linear=linear) for name, linear, of in columns)
 
     def doubts(self) -> Iterator[str]:
-        """Say which limits are guessed or likely in a wrong unit, one line for each axis."""
+        """Return warnings of limits that are guessed or likely in a wrong unit, one per axis."""
         if self.guessed:
             yield self.guessed
         for axis in self.axes:
@@ -180,7 +181,7 @@ class Machine:
 
     @property
     def guessed(self) -> str:
-        """Say which limits nobody has given, in one sentence; empty if all of them are known."""
+        """Return one sentence that names the guessed limits; empty if all are known."""
         guessed = () if self.arm is None else self.arm.guessed
         return f'limits of {self.name} are guessed: {", ".join(guessed)}' if guessed else ''
 
@@ -196,7 +197,7 @@ class Machine:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the axes in URDF and joint states: of an arm, those of its own URDF."""
+        """Names of the axes in URDF and joint states; for an arm, the names in its own URDF."""
         return self.axis_names if self.arm is None else self.arm.joints
 
     @property
@@ -211,7 +212,7 @@ class Machine:
 
     @property
     def program_names(self) -> tuple[str, ...]:
-        """Letters of the coordinates of programs that have a zero of their own."""
+        """Letters of the program coordinates that have their own zero."""
         return ('X', 'Y', 'Z', *self.rotary_names)
 
     @property
@@ -271,7 +272,7 @@ def find_machine_file(path_or_name: str | Path) -> Path:
 
 
 def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
-    """Read the content of a machine file, and of the files beside it in a folder."""
+    """Read the content of a machine file; files that it names are in ``folder``."""
     if 'urdf' in content:
         return _arm(content, folder)
     rotary = content.get('rotary') or {}
@@ -378,7 +379,7 @@ def placed_machine(
 
         R_C(C) (R_z(w) p + m) = R_C(C + w) (p + R_z(-w) m)
 
-    So C counts from the turned workpiece, and only the offset m is another one. ``shift`` [mm],
+    So C counts from the turned workpiece, and only the offset m changes. ``shift`` [mm],
     ``turn`` [deg]. Raises MachineError if no table of the machine turns about Z.
     """
     machine = Machine.load(name)
@@ -404,7 +405,7 @@ def placed_machine(
 
 
 def whole_text(name: str) -> str:
-    """Return the text of a machine file, with the files that it names inside it."""
+    """Return the text of a machine file, with the content of the files that it names."""
     found = find_machine_file(name)
     content = read_yaml(found)
     if 'urdf' not in content:
@@ -413,7 +414,7 @@ def whole_text(name: str) -> str:
 
 
 def with_guessed_limits(name: str, file: Path) -> Machine:
-    """Write the file of an arm whose missing limits are guessed; read it."""
+    """Write the file of an arm with guesses for its missing limits, and read it."""
     found = find_machine_file(name)
     content = read_yaml(found)
     demand(

@@ -37,11 +37,11 @@ ROTARY_KEYS = {
 }
 #: Choices of the reader that a machine file may make.
 CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
-#: How its control goes through short blocks, with the plausible range of each value.
+#: Pace of a control on short blocks: plausible range of each value.
 PACE = {'velocity_jump_mm_per_s': (1e-3, 1e4), 'block_time_ms': (1e-3, 1e3)}
 STOPS = 'stops_at_rapids'
 SCATTER = 'scatter_percent'
-#: Times at which the path rests [s], and the speed at which those of the spindle were measured.
+#: Times at which the path rests [s], and the speed at which spindle times were measured.
 CHANGE, START, STOP, REVERSAL, SPEED = STANDSTILL = (
     'tool_change_s',
     'spindle_start_s',
@@ -49,10 +49,10 @@ CHANGE, START, STOP, REVERSAL, SPEED = STANDSTILL = (
     'spindle_reversal_s',
     'spindle_speed_rev_per_min',
 )
-USUAL_REVERSAL = 0.2  #: Of a spindle that taps, where the file does not say it [s].
+USUAL_REVERSAL = 0.2  #: Default reversal time of a tapping spindle [s].
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
 LOCKED_LIMITS = AxisLimits(1.0, 1.0, 1.0, (-1e-9, 1e-9))  #: No motion reaches them [rad, s].
-SAME_PLACE = 1e-9  #: A table of limits covers the travel up to this [m, rad].
+SAME_PLACE = 1e-9  #: Tolerance with which a table of limits must cover the travel [m, rad].
 #: Plausible size of velocity, acceleration and jerk limits in SI, of linear and of rotary axes.
 #: Beyond them a unit is wrong: 60 mm/min to 600 m/min, 0.1 to 9549 rev/min.
 PLAUSIBLE = {
@@ -62,7 +62,7 @@ PLAUSIBLE = {
 
 
 def section(content: dict[str, Any], name: str, known: Collection[str]) -> dict[str, Any]:
-    """Return a section of the file, empty without it; refuse entries that it cannot hold."""
+    """Return a section of the file, or an empty one; refuse unknown entries in it."""
     given = content.get(name) or {}
     demand(isinstance(given, dict), f'may hold {", ".join(known)}', name)
     require_known(given, known, name)
@@ -113,11 +113,12 @@ class Standstill:
     """Times at which the path rests; a spindle gains its energy at constant power."""
 
     tool_change: float = 0.0  #: [s]
-    #: Until the spindle turns, and until it rests: per change of its squared speed [s/(rev/min)2].
+    #: Time to start and to stop the spindle, per change of its squared speed [s/(rev/min)2].
     start: float = 0.0
     stop: float = 0.0
-    reversal: float = 0.0  #: Of a spindle that taps [s].
-    speed: float = 0.0  #: At which start and stop were measured [rev/min]; 0: nowhere.
+    reversal: float = 0.0  #: Reversal time of a tapping spindle [s].
+    #: Speed at which start and stop were measured [rev/min]; 0 if not measured.
+    speed: float = 0.0
 
 
 def standstill(content: dict[str, Any]) -> Standstill:
@@ -140,12 +141,12 @@ def standstill(content: dict[str, Any]) -> Standstill:
 
 @dataclass(frozen=True)
 class Macro:
-    name: str  #: What its key says.
+    name: str  #: Label of its key.
     lines: tuple[str, ...]  #: Lines of G-code, executed one after the other.
 
     @property
     def moves(self) -> bool:
-        """Whether any line may move an axis: all but spindle, outputs and dwells."""
+        """Whether any line may move an axis; spindle, outputs and dwells do not."""
         return not all(_STILL.fullmatch(line.upper()) for line in self.lines)
 
 
@@ -268,14 +269,14 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
 @dataclass(frozen=True)
 class ReferenceSwitches:
     #: Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
-    #: end of the travel that is nearer.
+    #: nearer end of the travel.
     switches: Mapping[str, float] = field(default_factory=dict)
-    #: Position of the index pulse that comes after the release of the switch [m, rad].
+    #: Position of the index pulse that follows the release of the switch [m, rad].
     index: Mapping[str, float] = field(default_factory=dict)
     #: Axes of gantries: two motors, each with a switch of its own.
     squared: tuple[str, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()  #: Axes that home together, group after group.
-    required: bool = False  #: Whether no program may start before all these axes are homed.
+    required: bool = False  #: Whether programs may start only after all these axes are homed.
 
 
 def homing(
@@ -449,7 +450,7 @@ def numbers(value: Any, count: int, key: str) -> list[float]:
 
 
 def vector(rotary: dict[str, Any], key: str, optional: bool) -> FloatArray:
-    """Read an offset in mm; zero where it is optional and missing."""
+    """Read an offset in mm; zero if it is optional and missing."""
     if key not in rotary:
         demand(optional, 'missing; three numbers in mm', f'rotary.{key}')
         return np.zeros(3)

@@ -11,8 +11,8 @@ from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.machine_model.transform_port import Transform
 
-#: Rates of the axes along a line, each over its jerk limit, of rows of tool tip, tool axis, unit
-#: step of the tip, and turn of the tool axis per metre.
+#: Function that returns the rates of the axes along a line, each over its jerk limit, for rows of
+#: tool tip, tool axis, unit step of the tip, and turn of the tool axis per metre.
 AxisRates = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 
 
@@ -29,14 +29,14 @@ class MachineTraits:
     #: At larger turns the tool stops, which is faster on average.
     sharpest_turn: float = 178.0 * DEG
     sharpest_swing: float = 176.0 * DEG
-    #: Kinematics for blocks whose rotary axes run linearly. Without it there are none.
+    #: Kinematics for blocks whose rotary axes run linearly; None if there are no such blocks.
     geometry: FiveAxis | None = None
     max_jerk: FloatArray | None = None  #: (5 + k,): Jerk limits of all axes.
-    turns: bool = False  #: Whether the tool of a machine without a pole turns.
-    pace: BlockPace | None = None  #: How its control goes through short blocks.
+    turns: bool = False  #: Whether the tool of a machine without a pole can turn.
+    pace: BlockPace | None = None  #: Pace of its control on short blocks.
 
     def keeps_tool(self, axis: FloatArray) -> bool:
-        """Return whether a tool along an axis, shape (3,), cannot turn on a curve."""
+        """Return whether a tool with a given axis, shape (3,), cannot turn on a curve."""
         if self.pole is None:
             return not self.turns
         away = float(np.linalg.norm(np.cross(axis, self.pole)))

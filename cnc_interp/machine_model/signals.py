@@ -1,7 +1,7 @@
-"""Outputs and inputs of a machine: functions of programs, what stops switch off, and interlocks.
+"""Outputs and inputs of a machine: functions of programs, outputs of stops, and interlocks.
 
-A machine with an output ``SPEED`` has ``STATES``, too. Words set them like outputs, but no drive
-gets them: the cycle (``machine/spindle.py``) and the planner of the feed read them.
+A machine with an output ``SPEED`` also has ``STATES``. Words set them like outputs, but they are
+not sent to drives: the cycle (``machine/spindle.py``) and the feed planner read them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,8 +17,8 @@ from cnc_interp.machine_model.demands import demand
 
 #: Letters of a program whose value a function may take: speed, tool, and words of its own block.
 LETTERS = ('S', 'T', 'P', 'Q')
-#: What switches outputs off: an emergency stop, a fault, the operator's reset, setpoints that do
-#: not come any more, and the end of the machine node. HAL does the last one alone.
+#: Events that switch outputs off: emergency stop, fault, operator's reset, missing setpoints, and
+#: the end of the machine node, at which HAL acts alone.
 EMERGENCY, FAULT, RESET, LOST_PLANNER, LOST_MACHINE = STOPS = (
     'emergency_stop',
     'fault',
@@ -26,23 +26,24 @@ EMERGENCY, FAULT, RESET, LOST_PLANNER, LOST_MACHINE = STOPS = (
     'lost_planner',
     'lost_machine',
 )
-ALWAYS, NEVER = 'always', 'never'  #: In place of a list of ``STOPS``.
-OPERATOR = 'operator'  #: In place of an input that is waited for: the operator's cycle start.
+ALWAYS, NEVER = 'always', 'never'  #: Words that may replace a list of ``STOPS``.
+OPERATOR = 'operator'  #: Replaces an awaited input: the operator's cycle start.
 AFTER = ('M2', 'M5', 'M9', 'M30')  #: Words that act after the motion of their block.
-#: Before a line that ends where the probe comes on (G38.2, G38.3), or goes off (G38.4, G38.5).
+#: Functions before a line that ends when the probe comes on (G38.2, G38.3) or goes off (G38.4,
+#: G38.5).
 TOWARD, AWAY = 'G38.2', 'G38.4'
-#: The input of the probe, and the output that is 1 or 2 while the machine watches it: until it is
-#: on, or off. The machine sets it back itself.
+#: Input of the probe, and the output that is 1 or 2 while the machine waits for it to come on or
+#: go off. The machine resets this output itself.
 PROBE, ARMED = 'probe', 'probe_armed'
 SINCE = 'probe_since'  #: Input: the time from the last contact to the end of its period [s].
-#: Words that stop, call or return, which are no functions.
+#: Words that stop, call or return; they cannot be functions.
 NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
 HOME = 'home_'  #: Inputs of reference switches, as home_x.
-#: Values of ``Step.wait`` without an input; ``TIMED``: its value is how long it rests [s].
+#: Values of ``Step.wait`` without an input; ``TIMED``: the value of the step is the rest [s].
 NO_WAIT, ASK, TIMED = 0, -(1 << 30), -(1 << 29)
 BY_SPEED = 'mm_per_min', 'share'  #: Speeds of the tip, and shares of an output that follows it.
 DWELL = 'dwell'  #: Value of G4 [s].
-#: Words of LinuxCNC for outputs by their number: the word that does the same, and its letter.
+#: Words of LinuxCNC for numbered outputs: the equivalent word, and its letter.
 NUMBERED: Mapping[str, tuple[str, str]] = {
     'M62': ('M64', 'P'),
     'M63': ('M65', 'P'),
@@ -51,20 +52,20 @@ NUMBERED: Mapping[str, tuple[str, str]] = {
     'M67': ('M68', 'E'),
     'M68': ('M68', 'E'),
 }
-INPUT_WAIT = 'input_wait'  #: State: for how long M66 waits before it asks the operator [s].
-TOOL = 'tool'  #: State: the tool that the operator puts in, where no function does it.
+INPUT_WAIT = 'input_wait'  #: State: time that M66 waits before it asks the operator [s].
+TOOL = 'tool'  #: State: tool that the operator puts in, if no function changes tools.
 MOST_TOOL = 1e6  #: Largest number of a tool that a program may name.
-#: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, more of it with ``FORWARD``].
+#: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, which increases with ``FORWARD``].
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
-TURNING = 'spindle_turning'  #: Condition: the encoder sees that the spindle turns.
-NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's'}  #: Inputs that are numbers, and units.
+TURNING = 'spindle_turning'  #: Condition: the spindle turns, according to its encoder.
+NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's'}  #: Numeric inputs, with their units.
 FIXED = 'fixed'  #: Value of M50 and M51: 1 for P0.
 PER_TURN, FEED_FIXED, SPINDLE_FIXED = 'feed_per_turn', 'feed_fixed', 'spindle_fixed'
 SURFACE = ('surface_zero', 'surface_limit', 'surface_speed')
 THREAD = ('thread_x', 'thread_y', 'thread_z', 'thread_turns')
-#: Name and unit. G95; overrides that do not count (M49); G96: X of the centre, D and S; a line in
-#: step with the spindle: way of each axis in a turn, and turns, below 0 to come back as well.
+#: States, with units: G95; disabled overrides (M49); G96 with X of the centre, D and S; a line in
+#: step with the spindle, with the way of each axis per turn, and turns (< 0 to come back as well).
 STATES: Mapping[str, str] = {
     **dict.fromkeys((PER_TURN, FEED_FIXED, SPINDLE_FIXED), ''),
     **dict(zip(SURFACE, ('mm', 'rev/min', 'm/min'), strict=True)),
@@ -72,7 +73,7 @@ STATES: Mapping[str, str] = {
     THREAD[3]: '',
     DWELL: 's',
 }
-#: Words that set states; a name stands for a value that the reader gives.
+#: Words that set states; a name means a value supplied by the reader.
 OF_STATES: Mapping[str, Mapping[str, float | str]] = {
     'G94': {PER_TURN: 0.0},
     'G95': {PER_TURN: 1.0},
@@ -83,7 +84,7 @@ OF_STATES: Mapping[str, Mapping[str, float | str]] = {
     'M50': {FEED_FIXED: FIXED},
     'M51': {SPINDLE_FIXED: FIXED},
 }
-#: The same with an encoder. The path rests before both, and follows the spindle between them.
+#: Further words with an encoder. The path rests before both, and follows the spindle between them.
 FOLLOWS, FREE = 'G33', 'G33 ends'
 LONGEST_START = 20.0  #: Longest wait for the speed before a thread [s].
 
@@ -107,32 +108,32 @@ def limit_inputs(axis: str) -> tuple[str, str]:
 
 
 def square_output(axis: str) -> str:
-    """Return the output that lets the motors of a gantry stop one by one at their switches."""
+    """Return the output with which gantry motors stop one by one at their switches."""
     return f'square_{axis.lower()}'
 
 
 def index_signals(axis: str) -> tuple[str, str, str]:
-    """Return the output that asks for an index, and the inputs: it waits, and what it took off."""
+    """Return the output that requests an index, and its inputs: waiting, and removed offset."""
     return tuple(f'index{what}_{axis.lower()}' for what in ('', '_waits', '_offset'))  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
 class Signal:
     name: str
-    is_number: bool = False  #: Whether it is a number. Otherwise it is 0 or 1.
-    unit: str = ''  #: For people.
+    is_number: bool = False  #: Whether it is a number; otherwise it is 0 or 1.
+    unit: str = ''  #: Unit, for display.
     low: float = 0.0  #: Range of a number.
     high: float = 1.0
-    #: Simulated inputs: on while the first of these outputs is not 0 and none of them has changed
-    #: for a time [s].
+    #: Simulation of an input: it is on while the first of these outputs is not 0 and none of them
+    #: has changed for a given time [s].
     follows: tuple[int, ...] = ()
     after: float = 0.0
-    #: An output that follows the tool: at these speeds of its tip [m/s] these shares of what is
-    #: commanded [-], linear in between; only while another output is on, -1 for always.
+    #: An output that follows the speed of the tip: speeds [m/s] and shares of the commanded value
+    #: [-], linear in between; and the output that must be on, or -1.
     speeds: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
     only_with: int = -1
-    ramp: float = inf  #: How fast a spindle changes its speed, for its ``ANGLE`` [rev/s2].
+    ramp: float = inf  #: Acceleration of a spindle, for its ``ANGLE`` [rev/s2].
 
     def fault_of(self, value: float) -> str:
         if not isfinite(value):
@@ -147,18 +148,19 @@ class Signal:
 
 @dataclass(frozen=True)
 class Step:
-    """One output that a function sets, and what the path rests for then."""
+    """One output that a function sets, and the condition for which the path then rests."""
 
     word: str  #: Of the program, or one of ``STOPS``.
     output: int  #: Number of the output.
-    value: float | str  #: What it is set to; a letter for the value of that word.
-    #: ``NO_WAIT``; k for the condition k - 1 that must come on, -k for one that must go off;
+    value: float | str  #: Value that is set; a letter means the value of that word.
+    #: ``NO_WAIT``; k if condition k - 1 must come on, -k if it must go off;
     #: ``ASK``, ``TIMED``. Conditions are the inputs, ``TURNING``, then the outputs.
     wait: int = NO_WAIT
     limit: float = inf  #: Longest wait [s].
-    delay: float = 0.0  #: The input is looked at after so long, and the next step comes then [s].
+    delay: float = 0.0  #: Time before the input is read and the next step may follow [s].
     ends: bool = False  #: Whether a line in step with the spindle ends there.
-    guarded: bool = False  #: Whether it can break an interlock, which is looked at in a rest.
+    #: Whether it can break an interlock, which is checked while the path rests.
+    guarded: bool = False
 
     @property
     def rests(self) -> bool:
@@ -166,7 +168,7 @@ class Step:
 
 
 class SpindleSignals(NamedTuple):
-    """Numbers of the signals of a spindle; -1 for one that the machine does not have."""
+    """Numbers of the signals of a spindle; -1 if the machine lacks one."""
 
     #: Outputs ``SPEED``, ``FORWARD`` and ``REVERSE``. Without a speed there is no spindle.
     speed: int = -1
@@ -180,10 +182,11 @@ class SpindleSignals(NamedTuple):
 class Signals:
     outputs: tuple[Signal, ...] = ()
     inputs: tuple[Signal, ...] = ()
-    steps: tuple[Step, ...] = ()  #: Of all functions; those of one are together.
+    #: Steps of all functions; the steps of each function are consecutive.
+    steps: tuple[Step, ...] = ()
     words: Mapping[str, range] = field(default_factory=dict)  #: The steps of each word.
     after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
-    wired: int = 0  #: Outputs that drives get; ``STATES`` come after them.
+    wired: int = 0  #: Number of outputs that drives receive; ``STATES`` come after them.
     #: Numbers of the outputs that each of ``STOPS`` switches off.
     off: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     #: Conditions that must hold while an output is on, by its number; k and -k as ``Step.wait``.
@@ -209,16 +212,16 @@ class Signals:
         return bool(self.outputs) and self.outputs[-1].name == TOOL
 
     def is_change(self, step: Step) -> bool:
-        """Return whether a step waits until the operator has put a tool in."""
+        """Return whether a step waits until the operator has changed the tool."""
         return self.changed_by_hand and step.output == len(self.outputs) - 1
 
     def input(self, name: str) -> int:
-        """Return the number of an input; -1 without."""
+        """Return the number of an input; -1 if there is none."""
         return next((k for k, signal in enumerate(self.inputs) if signal.name == name), -1)
 
     @property
     def probe(self) -> tuple[int, int] | None:
-        """The numbers of the output ``ARMED`` and of the input ``PROBE``; None without."""
+        """Numbers of the output ``ARMED`` and of the input ``PROBE``; None without a probe."""
         places = [
             [signal.name for signal in signals].index(name)
             for signals, name in ((self.outputs, ARMED), (self.inputs, PROBE))
@@ -236,7 +239,7 @@ class Signals:
         return [*(each.name for each in self.inputs), TURNING, *(each.name for each in self.wires)]
 
     def breach(self, output: int, value: float, conditions: Sequence[float]) -> str:
-        """Return which interlock an output would break with a value; empty if it may be set."""
+        """Return the interlock that an output value would break; empty if it is allowed."""
         first, after = len(self.inputs) + 1, list(conditions)
         after[first + output] = value
         for k, wanted in self.interlocks.items():
@@ -357,7 +360,7 @@ def _with_tool_change(found: Signals) -> Signals:
 def _refuse_old_answers(
     steps: list[Step], outputs: tuple[Signal, ...], inputs: tuple[Signal, ...], where: str
 ) -> None:
-    """Refuse a request with an answer that is taken back, if the answer may be an old one."""
+    """Refuse a request whose answer is withdrawn later, if that answer may be an old one."""
     for k, step in enumerate(steps):
         begins, ends = (
             any(s.output == step.output and s.wait == -step.wait for s in part)
@@ -372,10 +375,10 @@ def _refuse_old_answers(
 def _switched_off(
     given: Mapping[str, Any], outputs: tuple[Signal, ...]
 ) -> dict[str, tuple[int, ...]]:
-    """Read the table of what is switched off, and when.
+    """Read the table of outputs that stops switch off.
 
-    A number without a row stays. An output that is on or off needs a row: neither a clamp that
-    opens at a stop nor a spindle that goes on may be an oversight.
+    A number without a row is kept. Every on/off output needs a row, because neither a clamp that
+    opens at a stop nor a spindle that keeps turning may be an oversight.
     """
     rows = _mapping(given, 'switched_off')
     for name in rows:
@@ -474,7 +477,7 @@ def _add_numbered(
     steps: list[Step],
     words: dict[str, range],
 ) -> tuple[Signal, ...]:
-    """Add the words of outputs like ``digital_out_3``, and those that wait for inputs (M66)."""
+    """Add the words for outputs like ``digital_out_3``, and words that wait for inputs (M66)."""
 
     def add(word: str, *given: Any, **waits: Any) -> None:
         words[word] = range(len(steps), len(steps) + 1)

@@ -1,7 +1,7 @@
-"""The port of a machine's kinematics: axis positions <-> poses of the tool in the workpiece.
+"""The interface of a machine's kinematics: axis positions <-> tool poses in the workpiece.
 
-Rooms that need no more than ``Transform`` work for any machine. What asks for ``five_axis`` needs
-its rotary axes: words for them, its pole, or that X Y Z are its linear axes.
+Rooms that use only ``Transform`` work for any machine. Code that uses ``five_axis`` needs rotary
+axes: their words, the pole, or X Y Z as linear axes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Transform(Protocol):
 
     @property
     def machine(self) -> Machine:
-        """Its axes have names, kinds, limits and travel."""
+        """The machine, whose axes have names, kinds, limits and travel."""
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return tool tips [m] and unit tool axes [-] in W, (n, 3) each, for rows of q."""
@@ -40,17 +40,17 @@ class Transform(Protocol):
         """
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return what X Y Z of programs count where tips [m] are at rotary positions, (n, 3)."""
+        """Return the program coordinates X Y Z of tips [m] at rotary positions, (n, 3)."""
 
     def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
-        """Return the positions for which programs have words, where q (n_axes,) brings the tip."""
+        """Return the positions that programs can name, for axis positions q (n_axes,)."""
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """Return the tool axes (n, 3) at positions of the rotary axes that words name."""
 
     @property
     def five_axis(self) -> FiveAxis:
-        """The closed form; raises MachineError where the machine has no X Y Z."""
+        """The closed form; raises MachineError if the machine has no X Y Z axes."""
 
     @staticmethod
     def of(machine: Machine) -> Transform:
@@ -84,8 +84,8 @@ def start_positions(
 ) -> tuple[FloatArray, float]:
     """Choose rotary positions (2,) [rad] and branch (+1 or -1) of a start pose.
 
-    ``rotary`` (2,): positions that the program names, else NaN: then the solution nearest to
-    ``near`` counts. Raises BlockError if the orientation cannot be reached within the travel.
+    ``rotary`` (2,): positions that the program names, or NaN for the solution nearest to ``near``.
+    Raises BlockError if the orientation cannot be reached within the travel.
     """
     machine = transform.machine
     if not machine.has_rotary:
@@ -109,7 +109,7 @@ def start_positions(
     return np.asarray(pair), -minus_branch
 
 
-#: Least length of the direction of a tool axis [-], and how exactly a fixed one is met [-].
+#: Least length of the direction of a tool axis [-], and accepted error of a fixed tool axis [-].
 LEAST_LENGTH, SAME_AXIS = 1e-6, 1e-9
 
 
@@ -118,9 +118,9 @@ def positions_of_pose(
 ) -> FloatArray:
     """Return the axis positions of a tool pose, (n_axes,) [m, rad].
 
-    NaN in ``tip`` and no ``axis``, of any length, keep what there is; the solution nearest to
-    ``stands`` counts. Raises BlockError if the direction is out of travel, ValueError if it has no
-    length or the tool cannot turn to it.
+    NaN in ``tip``, or ``axis`` None, keep the present values; ``axis`` may have any length. The
+    solution nearest to ``stands`` is taken. Raises BlockError if the direction is out of travel,
+    and ValueError if its length is zero or the tool cannot turn to it.
     """
     here, present = (found[0] for found in transform.forward(stands[None, :]))
     tip = np.where(np.isnan(tip), here, tip)

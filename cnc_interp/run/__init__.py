@@ -1,1 +1,1 @@
-"""Blocks to chunks of setpoints with stop tails: one chain for everybody."""
+"""The one chain from blocks to chunks of setpoints with stop tails."""

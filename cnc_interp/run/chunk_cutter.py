@@ -1,7 +1,7 @@
 """Stops along the path: the tail of each chunk, and the way down to another plan.
 
-A tail follows the plan to the next setpoint with a known stop, then that stop. A plan that joins
-in motion never asks for less than a stop from there (``way_down``).
+A tail follows the plan to the next setpoint with a known stop, and then that stop. A plan that
+joins in motion is never slower than a stop from there (``way_down``).
 """
 
 from collections import deque
@@ -19,10 +19,11 @@ from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.course import STILL, Course, Leg
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Interpolator, Setpoints, Wait
 
-STOP_EVERY = 0.005  #: Time between setpoints at which a stop is looked for [s].
-#: Begin of a plan that joins in motion, and the time between stops in it [s]: it must be early.
+STOP_EVERY = 0.005  #: Time between setpoints at which a stop is searched [s].
+#: First part of a plan that joins in motion, and time between stops in it; it must be ready early
+#: [s].
 HASTE, HASTY_EVERY = 0.3, 0.02
-#: Part of every limit that the way down leaves free, so that a law beside it exists [-].
+#: Part of every limit that the way down leaves free, so that other laws exist beside it [-].
 LEEWAY = 6e-3
 NO_SIGNALS = Signals()
 
@@ -39,7 +40,7 @@ class StopSearch:
     def stops(
         self, leg: Leg, piece: PlannedPiece, numbers: range
     ) -> Iterator[tuple[int, Setpoints]]:
-        """Yield numbers of setpoints of a slice, and the setpoints from there down to rest."""
+        """Yield numbers of setpoints of a slice, and the setpoints from each down to rest."""
         ahead: AxisPath | None = None
         first = -(-(numbers.start + 1) // self._every) * self._every - 1
         for number in range(first, numbers.stop, self._every):
@@ -82,7 +83,7 @@ class FunctionQueue:
         return np.asarray(share * np.where(value(PER_TURN) == 0.0, 1.0, turns))
 
     def told(self, done: int) -> None:
-        """Note how many functions the machine has executed, at most those that were sent."""
+        """Note the number of functions that the machine has executed, limited to those sent."""
         self.done = min(done, max(self._sent, self.done))
 
     def push(self, functions: Functions) -> None:
@@ -96,7 +97,7 @@ class FunctionQueue:
         self._kept = Functions.concatenate([self._kept[drop:], functions])
 
     def between(self, before: int, last: int | None) -> tuple[Functions, int]:
-        """Return those of the blocks after one, to the last or all, and the first one's number."""
+        """Return the functions after one block up to another or the end, and the first number."""
         kept, done = self._kept, self.done - self._first
         first = max(kept.until(before), min(max(done, 0), len(kept)))
         after = len(kept) if last is None else max(kept.until(last), first)
@@ -162,7 +163,7 @@ class ChunkCutter:
 def way_down(
     pieces: Sequence[PlannedPiece], begin: float, ahead: AxisPath, table: FloatArray
 ) -> PlannedPiece | None:
-    """Return the motion from a time [s] on to a place with a known stop, and that stop."""
+    """Return the motion from a time [s] to the next known stop, and then that stop."""
     driven: list[PlannedPiece] = []
     for piece in pieces:
         first, last = max(begin, float(piece.law.time[0])), piece.law.end_time
@@ -178,7 +179,7 @@ def way_down(
 
 
 def between(piece: PlannedPiece, begin: float, end: float) -> list[PlannedPiece]:
-    """Cut law and path at two times [s]; empty in the last instant, where no path is left."""
+    """Cut law and path at two times [s]; empty at the last instant, when no path is left."""
     law = piece.law
     if end <= begin:
         return []

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cnc_interp.collision.path_clearance import Certificates, PathClearance
 
 REFUSE = 'refuse'
-TIP_MOVES = 1e-9  #: In a cell with less the tip rests [m].
+TIP_MOVES = 1e-9  #: The tip rests in a cell in which it moves less [m].
 
 
 def clearance_of(
@@ -32,7 +32,7 @@ def clearance_of(
 ) -> PathClearance | None:
     """Return the check of a machine with the scene of the settings; None without one.
 
-    ``setup``: text of the setup with the tool table; without it, that of the file of the settings.
+    ``setup``: text of the setup with the tool table; by default, the file named by the settings.
     """
     if settings.scene is None:
         return None
@@ -44,27 +44,27 @@ def clearance_of(
 
 
 def setup_text(file: Path | None) -> str:
-    """Return the text of a setup file, which need not be there yet."""
+    """Return the text of a setup file; empty if it does not exist yet."""
     return '' if file is None or not file.is_file() else JobSetup.load(file).text()
 
 
 class ContactError(StreamError):
-    """Motion by hand ends before two bodies come too near each other."""
+    """Motion by hand stops before two bodies come too near each other."""
 
     def __init__(self, bodies: tuple[str, str], text: str):
         self.bodies = bodies
         super().__init__(text)
 
 
-#: What finds the first contact on ways through axis positions, (K, n) [m, rad], and what tells of
-#: it with the distance that is left where the axes rest, (n,).
+#: Functions that find the first contact on ways through axis positions, (K, n) [m, rad], and that
+#: describe it with the remaining distance where the axes rest, (n,).
 Foresight = Callable[[FloatArray], Callable[[FloatArray], ContactError] | None]
 
 
 def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -> Foresight | None:
-    """Return what finds contacts ahead of motion by hand; None without a scene.
+    """Return the function that finds contacts ahead of motion by hand; None without a scene.
 
-    ``outputs``: what the program sets, one of which is the number of the tool in the spindle.
+    ``outputs``: values of the outputs, one of which is the number of the tool in the spindle.
     """
     clearance = clearance_of(machine, settings, 1)
     if clearance is None:
@@ -95,7 +95,7 @@ def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -
 
 
 def _changed(file: Path | None) -> int:
-    """Return when a file was written [ns]; 0 where there is none."""
+    """Return the time at which a file was written [ns]; 0 if it does not exist."""
     return file.stat().st_mtime_ns if file is not None and file.exists() else 0
 
 
@@ -107,13 +107,14 @@ def _left(clearance: PathClearance, hit: Hit, tool: int, rest: FloatArray) -> Co
 
 
 class LiveClearance:
-    """Checks the parts of a run before the feed planner gets them; a hit ends the run there."""
+    """Checks the parts of a run before the feed planner receives them; a hit ends the run."""
 
     def __init__(self, clearance: PathClearance, mode: str, line_of: Callable[[int], int]):
         self._clearance, self._mode, self._line_of = clearance, mode, line_of
         self._functions = Functions.none()
-        self.hits: list[Hit] = []  #: Of a run that is refused at the first one, or only warned.
-        self.stock: CutStock | None = None  #: As it is at the end of what was checked.
+        #: Hits so far; a run that is not only warned is refused at the first.
+        self.hits: list[Hit] = []
+        self.stock: CutStock | None = None  #: Stock at the end of the checked part.
 
     @staticmethod
     def of(
@@ -138,11 +139,11 @@ class LiveClearance:
             raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
 
     def pass_by(self, path: AxisPath) -> None:
-        """Cut the stock along a part that comes before the place to go on from."""
+        """Cut the stock along a part before the place from which the run continues."""
         self._clearance.pass_by(path, rapid_cells(path), self._functions)
 
     def stock_text(self) -> str:
-        """Say in one line what has been cut off the stock; '' without one."""
+        """Return one line about the removed stock; '' without a stock."""
         from cnc_interp.run.plan_figures import stock_text
 
         return '' if self.stock is None else stock_text(self.stock.figures())
@@ -195,11 +196,11 @@ class ClearanceStage:
         self._functions = functions
 
     def pass_by(self, path: AxisPath) -> None:
-        """Cut the stock along a part of the whole program that is not executed."""
+        """Cut the stock along a part of the program that is not executed."""
         self.clearance.pass_by(path, self._whole[path.cell_block], self._functions)
 
     def save_stock(self, directory: Path) -> None:
-        """Write the stock that is left as STL; a scene without a stock leaves none."""
+        """Write the remaining stock as STL, if the scene has a stock."""
         if self.clearance.stock is None:
             return
         from cnc_interp.collision.mesh_file import stl_of
@@ -209,7 +210,7 @@ class ClearanceStage:
         (directory / 'stock.stl').write_bytes(content)
 
     def save_stages(self, directory: Path, count: int) -> None:
-        """Write about so many stages of the stock for drawings; see ``stages_of``."""
+        """Write about ``count`` stages of the stock for drawings; see ``stages_of``."""
         if self.clearance.stock is None or not count:
             return
         from cnc_interp.collision.rest import stages_of

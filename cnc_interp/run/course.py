@@ -1,4 +1,4 @@
-"""The path of a run that is still needed, cut into legs: motion from rest to rest."""
+"""The path of a run that is still needed, divided into legs from rest to rest."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
 PORTION = 500  #: Cells of the path planned at a time.
-FINE = 64  #: Cells planned at a time where the drives wait for the first setpoint.
-AHEAD = 4000  #: Cells of the path that a stop may use.
-ENVELOPE = 24  #: Cells into which the way down to a lower feed is cut.
+FINE = 64  #: Cells planned at a time while the drives wait for the first setpoint.
+AHEAD = 4000  #: Largest number of cells of the path that a stop may use.
+ENVELOPE = 24  #: Number of cells on the way down to a lower feed.
 ABOVE = 1.02  #: Feed allowed on the way down, as a multiple of the fastest stop [-].
-SAME = 1e-13  #: Places nearer than this are the same place; no cell is so short [m].
-#: Settings of the planner in a run, where nothing shows the least time.
+SAME = 1e-13  #: Places nearer than this are equal; every cell is longer [m].
+#: Settings of the planner in a run, which does not need the least time.
 LIVE = PlanOptions(bound=False)
-#: Length of the slices in which motion is sampled [s]; a change of the override waits for one.
+#: Length of the slices in which motion is sampled; an override change waits for one slice [s].
 SLICE = 0.1
-STILL = 1e-9  #: Speed below which the end of a law is rest [m/s].
+STILL = 1e-9  #: Below this speed the end of a law counts as rest [m/s].
 SAME_TIME = 1e-9  #: Times nearer than this are the same [s].
 
 
@@ -47,7 +47,7 @@ class Course:
         return portions
 
     def lead(self, way: AxisPath, s: float) -> None:
-        """Put a way of its own, down to rest, in the place of the path before a place [m]."""
+        """Replace the path before a place [m] by another way, which ends at rest."""
         self.items = deque([way, Wait.NOTHING, *self.after(s)])
 
     def release(self, s: float) -> None:
@@ -85,7 +85,7 @@ class Course:
         return AxisPath.join(parts)
 
     def rest_at(self, s: float) -> Setpoints | None:
-        """Return the setpoint of a machine that rests at a place [m]; None if it was dropped."""
+        """Return the setpoint of a machine at rest at a place [m]; None if it has been dropped."""
         path = next((p for p in self._parts() if p.s[0] - SAME <= s <= p.s[-1] + SAME), None)
         if path is None:
             return None
@@ -138,7 +138,7 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
 
 
 def to_place(path: AxisPath, s: float) -> AxisPath | None:
-    """Return what comes before a place; None if nothing does."""
+    """Return the part before a place; None if there is none."""
     nearest = int(np.argmin(np.abs(path.s - s)))
     if abs(path.s[nearest] - s) <= SAME:
         return cut(path, 0, nearest) if nearest else None
@@ -150,7 +150,7 @@ def feed_under(
 ) -> FloatArray:
     """Return the feed of each cell under factors on it, and on the speed of rapids [m/s].
 
-    The factors are numbers, or one for each cell; that of rapids counts up to 1 [-].
+    The factors are numbers, or arrays with one for each cell; that of rapids is limited to 1 [-].
     """
     found = np.asarray(path.cell_feed * feed)
     rapids = np.isinf(path.cell_feed)
@@ -166,7 +166,7 @@ def feed_under(
 def slowed(
     path: AxisPath, scaled: Callable[[AxisPath], FloatArray], way_down: PlannedPiece | None
 ) -> AxisPath:
-    """Scale the feed of a part. During a stop the feed is at least the speed of the stop."""
+    """Scale the feed of a part; during a stop it is at least the speed of the stop."""
     if way_down is None or path.s[0] >= way_down.path.s[-1]:
         return replace(path, cell_feed=scaled(path))
     law = way_down.law
@@ -195,7 +195,7 @@ def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
 
 
 def without_long_rows(law: MotionLaw) -> MotionLaw:
-    """Divide rows that are longer than a slice; a slow line may be one row of many minutes."""
+    """Divide rows that are longer than a slice, because a slow line may last many minutes."""
     parts = np.maximum(1, np.ceil(law.duration / SLICE - 1.0)).astype(np.int64)
     if (parts == 1).all():
         return law
@@ -246,7 +246,7 @@ class Leg:
         return float(self.slices[-1].law.end_time - self.slices[0].law.time[0])
 
     def state_at(self, number: int, piece: PlannedPiece) -> tuple[float, float, float]:
-        """Return s, s_dot and s_ddot at a sample, in the slice that has it [m, m/s, m/s2]."""
+        """Return s, s_dot and s_ddot at a sample of its slice [m, m/s, m/s2]."""
         time = (number - self.number_of_zero) * self.period
         s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
         rests = time >= piece.law.end_time - SAME_TIME and v < STILL  # after the last slice

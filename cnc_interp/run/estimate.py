@@ -1,4 +1,4 @@
-"""The time of a program without plan files: planned like any other, but not sampled."""
+"""The time of a program without plan files: it is planned as usual, but not sampled."""
 
 from __future__ import annotations
 
@@ -29,21 +29,22 @@ class Estimate:
     program: str
     machine: str
     sections: list[ToolSection]
-    stops: int  #: How often the program waits for the operator; that time is not known.
-    scatter: float  #: That of the fit to recorded runs, as a share of the motion; 0: not known.
-    #: Speeds of the spindle at which its start and stop were not measured [rev/min].
+    stops: int  #: Number of waits for the operator, whose time is unknown.
+    #: Scatter of recorded runs about the fit, as a share of the motion; 0 if unknown.
+    scatter: float
+    #: Spindle speeds at which start and stop were not measured [rev/min].
     other_speeds: tuple[float, ...] = ()
 
     @property
     def total(self) -> float:
-        """The time of the program without what it waits for the operator [s]."""
+        """Time of the program, without waits for the operator [s]."""
         return sum(one.times.total + one.change for one in self.sections)
 
     @property
     def half_width(self) -> float:
         """Half of the interval of 95 % of the total time [s]; 0: not known.
 
-        Times of the spindle at speeds at which they were not measured may be wrong by half.
+        Spindle times at speeds that were not measured may be wrong by half.
         """
         motion = sum(one.times.cutting + one.times.rapid for one in self.sections)
         spindle = sum(one.times.spindle for one in self.sections if self.other_speeds)
@@ -69,7 +70,7 @@ def estimate(
     progress: Callable[[float], None] = lambda _: None,
     overrides: tuple[float, float] = (1.0, 1.0),
 ) -> Estimate:
-    """Return how long a program takes; raises InterpError as planning it does.
+    """Return the time of a program; raises InterpError like planning does.
 
     ``overrides``: factors on the feed and on the speed of rapids [-].
     """

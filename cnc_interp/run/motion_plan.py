@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
     from cnc_interp.machine_model.signals import Signals
 
-#: A revision does not join from motion that stops within this time [s], because the jerk stage
-#: cannot resolve the path of a few periods. It lets the motion stop, and continues from rest.
+#: A revision does not join a motion that stops within this time [s], because the jerk stage cannot
+#: resolve the path of a few periods. The motion stops, and the revision continues from rest.
 BRIEF = 0.01
 
 
@@ -67,7 +67,7 @@ class MotionPlan:
         self._todo.extend(items)
 
     def release(self, s: float) -> float:
-        """Forget the motion before a place [m]; return where that begins which is still known."""
+        """Drop the motion before a place [m]; return where the kept motion begins."""
         while len(self._history) > 1 and self._history[1][1].law.s[0] < s:
             self._history.popleft()
         return float(self._history[0][1].law.s[0]) if self._history else -math.inf
@@ -115,7 +115,7 @@ class MotionPlan:
         return self._legs[-1]
 
     def _until_pause(self, part: AxisPath) -> AxisPath | Wait:
-        """Cut a part where the machine waits for cycle_start. The rest is planned later."""
+        """Cut a part where the machine waits for cycle_start; the remainder is planned later."""
         found = self._pause(part)
         if found is None:
             return part
@@ -176,7 +176,7 @@ class MotionPlan:
             self._last = samples[-1:]
 
     def state_at(self, number: int) -> tuple[Leg, tuple[float, float, float]] | None:
-        """Return leg and (s, s_dot, s_ddot) at a setpoint; None where it is forgotten."""
+        """Return leg and (s, s_dot, s_ddot) at a setpoint; None if it has been dropped."""
         for leg, piece in reversed(self._history):
             time = (number - leg.number_of_zero) * self._stream.period
             if time >= piece.law.time[0] - 1e-9:
@@ -195,7 +195,7 @@ class MotionPlan:
 
 
 class MotionStream:
-    """The path of one run and the plan that counts now: path in, chunks of setpoints out."""
+    """The path of one run and its current plan: takes the path and returns chunks of setpoints."""
 
     def __init__(
         self,
@@ -211,7 +211,7 @@ class MotionStream:
         self.period, self.chunk_size, self.tool = period, chunk_size, tool
         self.line_of = line_of  #: Source line of a block; single block stops where it changes.
         self.course, self.functions = Course(), FunctionQueue(signals)
-        #: Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
+        #: Blocks after which the machine waits for cycle_start, and why (M0, M1).
         self.pause_blocks: dict[int, Wait] = {}
         self.current = MotionPlan(self, settings or OperatorSettings(), deque())
 
@@ -226,11 +226,11 @@ class MotionStream:
         self.current.extend([wait])
 
     def release(self, s: float) -> None:
-        """Forget what was executed, whatever is told of it: not what may still be asked for."""
+        """Drop executed motion that can no longer be needed."""
         self.course.release(min(s, self.current.release(s)))
 
     def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
-        """Plan again after a setpoint that was handed out; None where no stop is known."""
+        """Replan after a setpoint that was already sent; None if no stop is known there."""
         found = self.current.state_at(number)
         if found is None:
             return None
@@ -265,7 +265,7 @@ class MotionStream:
         return before
 
     def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
-        """Plan again from rest at s [m], numbered from 0; ``way`` leads there, s below 0."""
+        """Replan from rest at s [m], numbered from 0; ``way`` leads there, at s < 0."""
         if way is not None:
             self.course.lead(way, s)
             s = float(way.s[0])

@@ -1,7 +1,7 @@
 """A feed planner with several processes, while this one smooths, interpolates and writes.
 
-Stretches between exact stops are planned by different processes, each from time zero; the clock is
-set afterwards, to the same bits as in ``FeedPlanner``.
+Stretches between exact stops are planned by different processes, each from time zero. Their times
+are shifted afterwards, so that the result has the same bits as that of ``FeedPlanner``.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
 
-ENOUGH = 500  #: Work in a section, in path cells: some 0.1 s of planning.
-#: Work that a rest adds: a short stroke costs as much as so many cells on a long path.
+ENOUGH = 500  #: Work in a section, in path cells; about 0.1 s of planning.
+#: Work added per rest: a short stroke costs as much as this many cells on a long path.
 STROKE = 20
 #: Option of ``prctl``: the signal that a process receives when its parent has died.
 PARENT_DEATH_SIGNAL = 1
-AHEAD = 4  #: Sections that are given out ahead, for each process.
+AHEAD = 4  #: Number of sections assigned ahead to each process.
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class RestSections:
 
 
 class LostProcessError(InterpError):
-    """Somebody has killed a process that planned."""
+    """A planning process has been killed."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class PlannerProcess:
         self.waiting += 1
 
     def take(self) -> list[PlannedPiece]:
-        """Return the motion of the first section that was not taken yet; raises its refusal."""
+        """Return the motion of the next section, or raise its refusal."""
         try:
             answer = self.results.recv()
         except (EOFError, OSError):
@@ -138,7 +138,7 @@ def _live(
     sections: multiprocessing.Queue[PathSection | None],
     results: Connection,
 ) -> None:
-    """Plan sections until the parent ends this process, or has died."""
+    """Plan sections until the parent ends this process or dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears Ctrl-C
     for number in (signal.SIGTERM, signal.SIGHUP):  # not the handler of the parent
         signal.signal(number, signal.SIG_DFL)
@@ -208,7 +208,7 @@ class ParallelPlanner:
             process.kill()
 
     def _give(self, section: PathSection) -> None:
-        """Give a section to the process that has the begin of its stretch, or the least to do."""
+        """Give a section to the process with the begin of its stretch, or with the least work."""
         if not self._processes:
             # All at once: a process that has threads already is no good parent.
             self._processes = [PlannerProcess(self._planning) for _ in range(self._most)]
@@ -218,14 +218,14 @@ class ParallelPlanner:
         self._moving = None if section.rests else process
 
     def _collected(self, most: int) -> list[PlannedPiece]:
-        """Return the motion of the first sections, until at most so many are left."""
+        """Return the motion of the first sections, until at most ``most`` are left."""
         pieces: list[PlannedPiece] = []
         while self._given and (len(self._given) > most or self._given[0].results.poll()):
             pieces += self._on_the_clock(self._given.popleft().take())
         return pieces
 
     def _on_the_clock(self, pieces: list[PlannedPiece]) -> list[PlannedPiece]:
-        """Start the motion at the end of the one before; adds as ``Stretch.law`` does."""
+        """Shift a motion to the end of the preceding one, adding times as ``Stretch.law`` does."""
         placed = []
         for piece in pieces:
             law = piece.law

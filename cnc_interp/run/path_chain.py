@@ -1,4 +1,4 @@
-"""Blocks -> smooth segments -> path in machine axes; ``is_faster`` plans both ways at a corner."""
+"""From blocks to smooth segments and the path in machine axes; also compares ways at corners."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +25,9 @@ from cnc_interp.smoothing.stop_choice import Way
 Arguments = ParamSpec('Arguments')
 Made = TypeVar('Made')
 
-#: Blocks that go through the chain together: up to 3 MB, for the samples of their corners.
+#: Number of blocks processed together; the samples of their corners take up to 3 MB.
 BATCH = 1024
-#: A stop, or lines in the place of a curve, must save this part of the time of a way [-].
+#: A stop, or lines instead of a curve, must save this part of the time of a way [-].
 WORTH = 5e-5
 
 
@@ -53,14 +53,14 @@ class Stopwatch:
 @dataclass(frozen=True)
 class PathPart:
     segments: PathSegments  #: Final segments; possibly none.
-    path: AxisPath | None  #: The same in machine axes; None where there are none.
+    path: AxisPath | None  #: Their path in machine axes; None without segments.
 
 
 class PathChain:
-    """Blocks in, segments and their path in machine axes out.
+    """Takes blocks; returns segments and their path in machine axes.
 
-    ``spun``: an arm as it begins, and the spins of ``AxisPathBuilder``, if they were chosen;
-    ``stands``: as there.
+    ``spun``: an arm in its first configuration and the spins for ``AxisPathBuilder``, if chosen;
+    ``stands``: as in ``AxisPathBuilder``.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class PathChain:
 
     @property
     def stops(self) -> IntArray:
-        """Program rows of the corners so far at which a stop was found to be faster."""
+        """Program rows of the corners so far at which a stop is faster."""
         return np.array(self._smoother.stops, dtype=np.int64)
 
     @property

@@ -1,4 +1,4 @@
-"""Figures of a plan as `summary.json` has them, brought up to date with every batch."""
+"""Figures of a plan for `summary.json`, updated with every batch."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class ToleranceUse:
-    """Compares certified deviations with tolerances, of which marks are kept where they change."""
+    """Compares certified deviations with tolerances, which are stored where they change."""
 
     def __init__(self) -> None:
         self._marks = np.zeros((0, 4))
@@ -90,7 +90,7 @@ class PlanFigures:
         self._tool_error = np.zeros(2)  # of the tip, and of the axis at flank height [m]
         self.functions = Functions.none()
         self.start: StartPlace | None = None  # where the run started, if not at the top
-        #: What was found of clearances, of a plan with a scene.
+        #: Result of the clearance check, if the plan has a scene.
         self.clearance: dict[str, Any] | None = None
         self.cut = ''  # where a record ends before the program does
         self.waits_first: bool | None = False  # for the operator (M0); a record does not tell
@@ -232,7 +232,7 @@ class PlanFigures:
 
 
 def clearance_text(found: Mapping[str, Any]) -> str:
-    """Say in one line what the check of clearances found."""
+    """Return one line with the result of the clearance check."""
     hits, nearest = len(found['hits']), found['nearest']
     told = f'{found["bodies"]} bodies, {found["pairs"]} pairs'
     if hits:
@@ -245,7 +245,7 @@ def clearance_text(found: Mapping[str, Any]) -> str:
 
 
 def collision_text(summary: Mapping[str, Any]) -> str:
-    """Say in one line what the check of clearances found, and what is left of the stock."""
+    """Return one line with the result of the clearance check and the remaining stock."""
     if not (found := summary.get('collision')):
         return ''
     stock = f'; stock: {stock_text(found["stock"])}' if 'stock' in found else ''
@@ -253,7 +253,7 @@ def collision_text(summary: Mapping[str, Any]) -> str:
 
 
 def stock_text(found: Mapping[str, Any]) -> str:
-    """Say in one line what has been cut off the stock, and what the part leaves of the rest."""
+    """Return one line with the removed volume, and the excess and gouge against the part."""
     cubic = MM**3
     told = f'{found["removed"] / cubic:.4g} of {found["volume"] / cubic:.4g} mm3 removed'
     told += f', on a grid of {found["grid"] / MM:g} mm'
@@ -264,7 +264,7 @@ def stock_text(found: Mapping[str, Any]) -> str:
 
 
 def bound_text(summary: Mapping[str, Any]) -> str:
-    """Say how fast any motion could be, or '' if this was not computed."""
+    """Return the lower bound of the motion time as text; '' if not computed."""
     least = summary['time_bound']
     if least is None:
         return ''
@@ -275,7 +275,7 @@ def bound_text(summary: Mapping[str, Any]) -> str:
 
 
 def windows_text(windows: Mapping[str, Any]) -> str:
-    """Say how the windows were solved if not all have converged, else ''."""
+    """Return how the windows were solved, if not all have converged; else ''."""
     if not any(windows[how] for how in SOLVED_BY[1:]):
         return ''
     told = ', '.join(f'{windows[how]} {how}' for how in SOLVED_BY if windows[how])
@@ -315,7 +315,7 @@ def excesses(
 
 
 def tool_error_text(error: Mapping[str, float], height: float) -> str:
-    """Return the largest errors at the tool in words; the height is that of the flank [m]."""
+    """Return the largest errors at the tool as text; ``height``: flank height [m]."""
     return (
         f'tool error     tip {error["tip"] / MM:.4f} mm, axis {error["axis"] / MM:.4f} mm at '
         f'{height / MM:g} mm; limit {error["limit"] / MM:g} mm, by the drives of the machine file'

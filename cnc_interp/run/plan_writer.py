@@ -1,4 +1,4 @@
-"""Setpoints and all that led to them -> plan files while planning goes on, with flat memory."""
+"""Write setpoints and their origins to plan files during planning, with constant memory."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from cnc_interp.collision.path_clearance import Certificates
 
 Columns = Mapping[str, NDArray[Any]]
-#: Columns of shape (4, cells, axes): they grow along their second axis.
+#: Columns of shape (4, cells, axes), which grow along their second axis.
 _CELLS = ('cell_left', 'cell_right')
-#: Columns of ``blocks.npz`` that have the name of their column of ``Blocks``.
+#: Columns of ``blocks.npz`` with the same name as in ``Blocks``.
 _AS_IN_BLOCKS = (
     'contour_tolerance',
     'orientation_tolerance',
@@ -51,12 +51,12 @@ _AS_IN_BLOCKS = (
 #: Files that only some plans have.
 SELDOM = 'functions', 'followed', 'collision', 'removal', 'remaining'
 SETPOINT_COLUMNS = {name: of for name, of in Setpoints.declared.items() if of.in_plans}
-#: Path cells, and setpoints, that are gathered before they are measured and written.
+#: Number of path cells, and of setpoints, collected before they are measured and written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 
 class PlanWriter:
-    """Writes the plan files of one program, as a context manager; without ``finish`` none."""
+    """Writes the plan files of one program, as a context; only ``finish`` makes them exist."""
 
     def __init__(self, directory: Path, machine: Machine, settings: Settings):
         self._directory, self._height = directory, settings.flank_height
@@ -71,7 +71,7 @@ class PlanWriter:
             for name in ('blocks', 'segments', 'path', 'setpoints', *SELDOM)
         }
         self.functions = Functions.none()
-        #: Numbers of the setpoints with which they acted; of a plan, those of the program.
+        #: Functions, and numbers of the setpoints at which they acted.
         self.acted: IntArray | None = None
         self._tip: FloatArray | None = None  # of the last block
         self._path: tuple[AxisPath, FloatArray] | None = None  # the last cell, and its s_dot
@@ -101,7 +101,7 @@ class PlanWriter:
             self._archives['segments'].append(segments.columns())
 
     def piece(self, piece: PlannedPiece) -> None:
-        """Write the path of a further piece; InterpError if its setpoints do not fit the disk."""
+        """Write the path of the next piece; InterpError if its setpoints exceed the disk space."""
         axes = len(self._machine.axis_names)
         row = 8.0 * sum(axes if of.tail else 1 for of in SETPOINT_COLUMNS.values())
         needed = 2.0 * row * piece.law.end_time / self._period  # columns, then the archive
@@ -116,7 +116,7 @@ class PlanWriter:
         self.path(piece.path, piece.law.s_dot)
 
     def path(self, path: AxisPath, speed: FloatArray) -> None:
-        """Write a further part of the path, with s_dot at the left end of each cell [m/s]."""
+        """Write the next part of the path, with s_dot at the left end of each cell [m/s]."""
         self._paths.append((path, speed))
         self._gathered += len(path.s)
         if self._gathered >= CELLS_AT_ONCE:
@@ -160,7 +160,7 @@ class PlanWriter:
         self._archives['collision'].append(found.columns())
 
     def stock(self, columns: Mapping[str, Columns]) -> None:
-        """Take the columns of the files that tell what the stock has become."""
+        """Take the columns of the files about the remaining stock."""
         for name, found in columns.items():
             self._archives[name].append(found)
 
@@ -172,7 +172,7 @@ class PlanWriter:
     def followed(
         self, block: int, ramp: float, later: int, angle: FloatArray, position: FloatArray
     ) -> None:
-        """Take setpoints that a recorded line had in step with the spindle."""
+        """Take the setpoints of a recorded line in step with the spindle."""
         given = {'block': block, 'ramp': ramp, 'later': later}
         columns = {name: np.full(len(angle), value) for name, value in given.items()}
         self._archives['followed'].append(columns | {'angle': angle, 'position': position})
@@ -253,7 +253,7 @@ class _Archive:
 
 
 class _Column:
-    """A growing column; one that grows along its second axis has a file (lane) for each row."""
+    """A growing column; if it grows along its second axis, each row has its own file (lane)."""
 
     def __init__(self, file: Path, like: NDArray[Any], name: str):
         self._along, self._count = int(name in _CELLS), 0

@@ -1,4 +1,4 @@
-"""The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> a sink."""
+"""The whole chain without ROS: from blocks by segments, axes and motion law to setpoints."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -37,7 +37,7 @@ class Sink(Protocol):
 
     @property
     def setpoints(self) -> Callable[[Setpoints], None] | None:
-        """What takes setpoints; None: motion is not sampled."""
+        """Consumer of setpoints; None if motion is not sampled."""
 
 
 class Chain:
@@ -75,7 +75,7 @@ class Chain:
 
     @contextmanager
     def refusals_in_order(self) -> Iterator[None]:
-        """Raise the first refusal of the program, even if reading is ahead of planning."""
+        """Raise the first refusal in program order, even if reading is ahead of planning."""
         try:
             yield
         except PlanningError:
@@ -134,9 +134,9 @@ def plan_to_files(
 ) -> dict[str, Any]:
     """Plan a program while it is read and write its plan files; memory does not grow with it.
 
-    ``progress``: told the share that has been planned; ``processes``: how many plan motion, to the
-    same files; ``save_stock``: write the stock that is left, too; ``stages``: so many drawings of
-    it while it is cut. Returns the summary in SI units, or raises InterpError.
+    ``progress``: called with the planned share; ``processes``: number of planning processes, which
+    does not change the files; ``save_stock``: whether to write the remaining stock; ``stages``:
+    number of drawings of the stock. Returns the summary in SI units, or raises InterpError.
     """
     settings = settings or Settings()
     start, geometry = None, Transform.of(machine)
@@ -170,7 +170,7 @@ def planned(
     progress: Callable[[float], None] = lambda _: None,
     overrides: tuple[float, float] = (1.0, 1.0),
 ) -> Iterator[Chain]:
-    """Plan a program into a sink while it is read, and hand over the chain while it is open."""
+    """Context in which a program is planned into a sink while it is read; yields the chain."""
     parts = iter(stream)
     spun = None
     if settings.spin != 'fixed' and isinstance(transform, JointChain):

@@ -1,4 +1,4 @@
-"""How long a program takes, by tool and operation: its motion, and what the path rests for."""
+"""The time of a program by tool and operation: motion, and rests of the path."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import STOP, Blocks
 from cnc_interp.program.blocks.functions import Functions
 
-#: A line of a program that is nothing but a comment: the name of an operation.
+#: A program line with only a comment, which names an operation.
 _NAME = re.compile(r'\s*(?:N\d+\s*)?(?:\(([^()]*)\)|;(.*)|\$\$(.*)|PPRINT\s*/(.*))\s*', re.I)
 CHANGE, DWELL = 'M6', 'G4'
 
@@ -29,7 +29,7 @@ class Times:
     cutting: float = 0.0
     rapid: float = 0.0
     dwell: float = 0.0
-    spindle: float = 0.0  #: Until it turns or rests.
+    spindle: float = 0.0  #: Time for the spindle to start or stop.
 
     @property
     def total(self) -> float:
@@ -48,10 +48,10 @@ class Operation:
 
 @dataclass(frozen=True)
 class ToolSection:
-    """What a program does with a tool, from its change to the next one."""
+    """A section of a program, from one tool change to the next."""
 
     line: int  #: Its first line.
-    tool: int  #: 0: the one that was in the spindle.
+    tool: int  #: Tool number; 0 for the tool already in the spindle.
     times: Times
     change: float  #: Time of the change before it [s].
     operations: tuple[Operation, ...]
@@ -100,7 +100,7 @@ class ProgramTimes:
     def sections(
         self, functions: Functions, machine: Machine, source: str = ''
     ) -> list[ToolSection]:
-        """Return the times by tool, in order; ``source``: file with the names of operations."""
+        """Return the times by tool, in order; ``source``: file that names the operations."""
         if not self._lines:
             return []
         line, rapid = np.concatenate(self._lines), np.concatenate(self._rapid)
@@ -144,7 +144,7 @@ class ProgramTimes:
 
 
 def _tool(functions: Functions, machine: Machine, change: int) -> int:
-    """Return the number of the tool that a change puts in."""
+    """Return the tool number of a tool change."""
     steps = machine.signals.steps
     last = change + len(machine.signals.words[CHANGE])
     told = [
@@ -156,7 +156,7 @@ def _tool(functions: Functions, machine: Machine, change: int) -> int:
 
 
 def _operations(line: IntArray, names: Sequence[tuple[int, str]]) -> Iterator[tuple[int, str]]:
-    """Yield the row with which each named operation begins; of several names the last counts."""
+    """Yield the first row of each named operation; of several names the last is used."""
     passed = np.maximum.accumulate(line)  # a line that comes again counts where it came first
     by_row = {int(np.searchsorted(passed, number)): name for number, name in names}
     yield from ((row, name) for row, name in by_row.items() if row < len(line))

@@ -1,4 +1,4 @@
-"""The sending side of a run: its phases, how it ends, and what it must know about the machine."""
+"""The sending side of a run: its phases, its end, and the report of the machine that it needs."""
 
 import math
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ SENDING = (Phase.OFFERED, Phase.STREAMING, Phase.LOST)  #: Phases in which block
 
 
 class Code(IntEnum):
-    """How a run ended; the constants of the action ``RunProgram``."""
+    """The result of a run; values as in the action ``RunProgram``."""
 
     SUCCEEDED = 0
     BAD_PROGRAM = 1
@@ -63,8 +63,8 @@ class Code(IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    code: Code  #: For programs.
-    message: str  #: What happened and what to do, for people.
+    code: Code  #: Machine-readable result.
+    message: str  #: What happened and what to do, for the operator.
 
 
 def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:
@@ -74,19 +74,19 @@ def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:
     return Outcome(Code.STOPPED if stopped else Code.REFUSED, reason)
 
 
-SETTLED = 0.1  #: A machine that rests for so long after cycle_start has nothing to execute [s].
-#: A machine with a plan whose buffer is not full after so long gets no more setpoints [s].
+SETTLED = 0.1  #: A machine at rest for this time after cycle_start has nothing to execute [s].
+#: If the buffer is not full after this time, no more setpoints will arrive [s].
 FILLED = 0.5
-#: What the operator reads of a run that the machine has left.
+#: Text for a run that the machine has left.
 LEFT = 'the machine was reset, or machine_node started again; run the program again'
 
 
 @dataclass(frozen=True)
 class MachineReport:
     run_id: RunId  #: The run that it executes or has executed last.
-    state: State  #: What it is doing.
+    state: State  #: Its state.
     plan_over: bool  #: It left the plan by a stop tail and rests; another plan must follow.
-    #: cycle_start was asked for, and there are not enough setpoints to start with.
+    #: Whether cycle_start was requested before enough setpoints were buffered.
     start_wanted: bool
     completed: bool  #: The run was executed to its end.
     path_position: float  #: Path length executed [m].
@@ -128,9 +128,9 @@ class MachineReport:
 
 
 class LossRecovery:
-    """Watches a machine after a node was restarted, and says when to send the program again.
+    """Watches a machine after a restart of a node, and decides when to send the program again.
 
-    A machine with setpoints starts at once on cycle_start; the rest is sent where it rests.
+    A machine with setpoints starts at once on cycle_start; the remainder is sent when it rests.
     """
 
     def __init__(self) -> None:
@@ -140,7 +140,7 @@ class LossRecovery:
         self._report: MachineReport | None = None
 
     def see(self, report: MachineReport) -> None:
-        """Take a report of the machine, which is on this run, or free and not on it yet."""
+        """Take a report of the machine, which executes this run or is free for it."""
         before, self._report = self._report, report
         held = before is not None and before.state is State.HELD
         if self.node and held and report.moves and report.state is not State.HELD:

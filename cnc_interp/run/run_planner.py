@@ -1,4 +1,4 @@
-"""Segments of one program -> chunks of one run; no ROS, no clock."""
+"""From segments of one program to chunks of one run; without ROS or a clock."""
 
 import math
 from dataclasses import replace
@@ -22,12 +22,12 @@ from cnc_interp.run.start_place import approach, approach_inside
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-ON_PATH = 1e-8  #: Largest distance of a machine that stands on the path [m, rad].
+ON_PATH = 1e-8  #: A machine this near to the path is on it [m, rad].
 #: Number of stored source lines above which those of executed blocks are dropped.
 LINES_KEPT = 4096
 
-#: Motion that a plan brings before it joins another one in motion [s]. So a planner that is late
-#: after that makes the change later, and the machine does not run out of setpoints.
+#: Motion that must be planned before a plan joins another one in motion [s]. A planner that is
+#: late then only delays the change, and the machine does not run out of setpoints.
 JOIN_RESERVE = 0.2
 
 
@@ -38,9 +38,10 @@ class Revision(NamedTuple):
 
 
 class RunPlanner:
-    """The planning of one run, from the top or from ``continue_at`` [m]; it rests at ``stands``.
+    """The planning of one run, from the top or from ``continue_at`` [m].
 
-    A machine that stands elsewhere, or any if the planner ``asks``, waits for cycle_start first.
+    ``stands``: positions at which the machine rests. If they are off the path, or if the planner
+    ``asks``, the machine waits for cycle_start first.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class RunPlanner:
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)
         self._asks = asks
-        #: What checks the path before it is planned; None without a scene.
+        #: Clearance check before planning; None without a scene.
         self.clearance = LiveClearance.of(machine, choices, self.line_of)
         self._starts: tuple[float, FloatArray] | None = None  # place and axis positions
         self._continue_at = continue_at if continue_at > 0.0 else None
@@ -77,7 +78,7 @@ class RunPlanner:
     def push(
         self, segments: PathSegments, pauses: dict[int, Wait], functions: Functions = NO_FUNCTIONS
     ) -> None:
-        """Take segments, blocks after which M0 or M1 waits, functions; InterpError: line, axis."""
+        """Take segments, waits after blocks (M0, M1), and functions; errors name the line."""
         self._note_lines(segments)
         waits = functions.waits(self._transform.machine.signals)
         self.stream.pause_blocks |= dict.fromkeys((waits - 1).tolist(), Wait.FUNCTION) | pauses
@@ -104,7 +105,7 @@ class RunPlanner:
             self.clearance.pass_by(path)
 
     def _begin(self, path: AxisPath) -> AxisPath | None:
-        """Add the approach before the path, or skip what comes before the place to go on from."""
+        """Add the approach before the path, or skip the path before the place of continuation."""
         if self._continue_at is None:
             start = np.array(path.cell_left[0, 0])
             way = self._way(self._stands, start, inside=False)
@@ -140,7 +141,7 @@ class RunPlanner:
         return way
 
     def finish(self) -> None:
-        """End the path; raises PlanningError if the place to continue from lies after the end."""
+        """End the path; PlanningError if the place of continuation lies beyond its end."""
         if self._starts is None:
             raise PlanningError('the program ends before the place to go on from; reset')
         self.stream.end_leg(Wait.END)
@@ -154,7 +155,7 @@ class RunPlanner:
         return []
 
     def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> None:
-        """Plan again from rest at a path length [m]; one moved by hand is led back first."""
+        """Replan from rest at a path length [m]; axes moved by hand are led back first."""
         rest = self.stream.course.rest_at(s)
         there = None if rest is None else rest.position[0]
         if there is not None and np.abs(there - stands).max() <= ON_PATH:
@@ -168,7 +169,7 @@ class RunPlanner:
         self.stream.resume(s, settings, self._way(stands, there, inside))
 
     def revise(self, number: int, settings: OperatorSettings) -> Revision | None:
-        """Plan with other settings after a setpoint already handed out; the plan stays."""
+        """Replan with other settings after a setpoint already sent; the plan number is kept."""
         plan, chunks, count = self.stream.revision(number, settings), [], 0
         if plan is None:
             return None

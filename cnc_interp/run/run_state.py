@@ -1,4 +1,4 @@
-"""What a run is doing: its id, a frozen dataclass of its state, and a table of transitions."""
+"""The state of a run: its id, a frozen dataclass, and a table of transitions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cnc_interp.core import StreamError
 @dataclass(frozen=True)
 class RunId:
     program_id: str = ''  #: The run, the same string from its start to its end; empty for no run.
-    attempt: int = 0  #: How often the run was begun again after the loss of a node.
+    attempt: int = 0  #: Number of restarts of the run after the loss of a node.
     plan: int = 0  #: Number of the plan in the attempt. Blocks and segments always have plan 0.
 
     def __bool__(self) -> bool:
@@ -192,13 +192,13 @@ _REFUSALS = {
 class RunState:
     state: State = State.INACTIVE  #: What the machine is doing.
     reason: Reason = Reason.NONE  #: Why.
-    detail: str = ''  #: What the text of the reason needs: a count, or what was rejected.
-    #: The machine has left its plan by a stop tail. A new plan must begin where it rests.
+    detail: str = ''  #: Detail for the text of the reason: a count, or the refusal.
+    #: Whether a stop tail has ended the plan. A new plan must begin where the machine rests.
     plan_over: bool = False
-    #: cycle_start was given and the setpoints to start with are not there yet.
+    #: Whether cycle_start was given before enough setpoints were buffered.
     start_wanted: bool = False
     completed: bool = False  #: The run was executed to its end.
-    refusal: str = ''  #: Why no further setpoints of this run come; empty while they may.
+    refusal: str = ''  #: Why no further setpoints of this run will arrive; empty while they may.
 
     @property
     def resting(self) -> bool:
@@ -246,7 +246,7 @@ class RunState:
         return TEXTS[self.reason].format(self.detail)
 
     def after(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> RunState:
-        """Return the state after an event; raises StreamError if it is not possible here."""
+        """Return the state after an event; raises StreamError if the event is not allowed."""
         following = TRANSITIONS.get((self.state, event))
         if following is None or (event is Event.JOG and self.start_wanted):
             raise StreamError(self._refused(event))
@@ -284,7 +284,7 @@ class RunState:
         )
 
     def _rests_away(self) -> RunState:
-        """Return the hold after a motion by hand: the path continues from elsewhere."""
+        """Return the hold after a motion by hand, when the axes are away from the path."""
         reason = Reason.FEED_HOLD if self.reason is Reason.FEED_HOLD else Reason.AWAY
         rests = replace(self, state=State.HELD, reason=reason, plan_over=True)
         return rests._refused_at_rest() if self.refusal else rests

@@ -1,4 +1,4 @@
-"""MotionLaw -> Setpoints -> Chunk: one sample per interpolation period; chunks have stop tails."""
+"""Sample a motion law once per interpolation period, and form chunks with stop tails."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ NO_FUNCTIONS = Functions.none()
 class Setpoints(Table):
     """Commanded positions and their derivatives, one row per interpolation period."""
 
-    time: FloatArray = column()  #: Since the start of the motion, multiples of the period [s].
+    #: Time since the start of the motion, in multiples of the period [s].
+    time: FloatArray = column()
     #: Commanded axes and their time derivatives [m or rad, per s, per s2, per s3].
     position: FloatArray = column('axes')
     velocity: FloatArray = column('axes')
@@ -32,7 +33,7 @@ class Setpoints(Table):
     jerk: FloatArray = column('axes', in_plans=False)  # the proof differentiates positions
     block: IntArray = column()  #: Row of the block being executed.
     s: FloatArray = column()  #: Path position [m].
-    #: Line of the source; 0 where it is not known yet. Plans have it for each block.
+    #: Line of the source; 0 while unknown. Plan files store it per block.
     line: IntArray = column(default=0, in_plans=False)
 
     @staticmethod
@@ -81,7 +82,7 @@ class Interpolator:
 
 
 class Wait(IntEnum):
-    """What the machine does at rest after the last setpoint of a chunk."""
+    """Action of the machine at rest after the last setpoint of a chunk."""
 
     NOTHING = 0  # goes on with the next chunk
     OVERRIDE = 1  # rests while the feed override is 0
@@ -96,12 +97,13 @@ class Wait(IntEnum):
 @dataclass(frozen=True)
 class Chunk:
     samples: Setpoints  #: The setpoints to be executed.
-    #: From the last of them to rest on the path; empty where that is at rest already.
+    #: Stop tail from the last sample to rest on the path; empty if the sample is at rest.
     tail: Setpoints
     wait: Wait  #: What the machine waits for after the last one.
-    #: What is switched at the begin of blocks of samples and tail; after the end of the program.
+    #: Functions at the begins of the blocks of samples and tail; and those after the program's
+    #: end.
     functions: Functions = NO_FUNCTIONS
-    first_function: int = 0  #: Number in the run of the first of them.
+    first_function: int = 0  #: Number of the first function in the run.
 
     @property
     def rests(self) -> bool:
@@ -115,16 +117,16 @@ class Chunk:
         return Chunk(self.samples[:count], tail, Wait.NOTHING, *kept)
 
 
-BEFORE = 3  #: Setpoints that must be known before the first one whose differences are taken.
-STILL = 1e-12  #: Steps of an axis below this are rest [m, rad].
+BEFORE = 3  #: Number of setpoints needed before the first one to form its differences.
+STILL = 1e-12  #: Smaller steps of an axis count as rest [m, rad].
 
 
 def limit_shares(positions: FloatArray, limits: Limits, period: float) -> FloatArray:
     """Divide the first, second and third differences of setpoints by the largest allowed.
 
-    They are means of derivatives, so the largest limit between the setpoints counts. ``positions``
-    (3 + K, n_axes) with the three before.
-    Returns (3, K, n_axes): signed shares [-]; row k belongs to those that end at setpoint k.
+    Differences are means of derivatives, so the largest limit between the setpoints applies.
+    ``positions`` (3 + K, n_axes) includes the three setpoints before. Returns signed shares,
+    (3, K, n_axes) [-]; row k belongs to the differences that end at setpoint k.
     """
     shares = np.empty((3, len(positions) - BEFORE, positions.shape[1]))
     _compare(positions, limits.table, np.array([period, period**2, period**3]), shares)
@@ -173,7 +175,7 @@ def _compare(
 
 
 def torque_shares(positions: FloatArray, limits: Limits, period: float) -> FloatArray:
-    """Divide the torques that three setpoints in a row need by the largest ones, (K, n_axes).
+    """Return the torques of three successive setpoints over the largest torques, (K, n_axes).
 
     Where an axis turns, Coulomb friction has both signs, so the smaller torque counts.
     """

@@ -29,9 +29,10 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.options import Settings
 
-SPINS = np.arange(24) * 15.0 * DEG  #: That are followed, beside the one of the machine file.
-SAME = 1e-9  #: Spins that differ less are one [rad].
-EVERY, OTHERS = 3, 4  #: Each third of them is planned, and so many others with the least turns.
+#: Spins that are followed, in addition to that of the machine file [rad].
+SPINS = np.arange(24) * 15.0 * DEG
+SAME = 1e-9  #: Spins that differ by less are equal [rad].
+EVERY, OTHERS = 3, 4  #: Every third spin is planned, and this many others with the least turns.
 #: Powers of u of the Legendre polynomials on 0 ... 1, from the lowest on.
 LEGENDRE = np.array(
     [
@@ -42,21 +43,21 @@ LEGENDRE = np.array(
         [1.0, -20.0, 90.0, -140.0, 70.0],
     ]
 )
-KEPT = 3  #: Fastest ways to the end of a cut that the next cut may continue.
-MOST_POSES = 600  #: That are followed on a cut.
-#: First step of the search for a quartic [rad], its rounds of ten plans, the gain that counts [-].
+KEPT = 3  #: Number of fastest ways to the end of a cut that are kept for the next cut.
+MOST_POSES = 600  #: Largest number of poses that are followed on a cut.
+#: Search for a quartic: first step [rad], rounds of ten plans, and least relevant gain [-].
 BEND, ROUNDS, GAIN = 20.0 * DEG, 5, 1e-4
 
 
 @dataclass(frozen=True)
 class SpinChoice:
-    chain: JointChain  #: It begins in the configuration that was chosen.
-    spins: FloatArray  #: (n, 10): For each segment, the septic of the spin, as in ``guides``.
+    chain: JointChain  #: Chain in the chosen first configuration.
+    spins: FloatArray  #: (n, 10): Septic of the spin for each segment, as in ``guides``.
     why: str  #: How it was chosen.
 
 
 class _Way(NamedTuple):
-    """How the program is followed up to the start, or to the end, of a cut."""
+    """A way to follow the program up to the start or the end of a cut."""
 
     start: FloatArray  # (n,): joints at the first pose of the program [rad]
     here: FloatArray  # (n,): joints where it has come to
@@ -82,7 +83,7 @@ class SpinSearch:
         self._plans = self._furthest = 0
 
     def chosen(self) -> SpinChoice:
-        """Return the spins of all segments; raises BlockError where no constant spin can go."""
+        """Return the spins of all segments; BlockError if a cut allows no constant spin."""
         nothing = np.zeros(0)
         ways = [_Way(nothing, nothing, 0.0, ())]
         for number in range(len(self._cuts)):
@@ -99,7 +100,7 @@ class SpinSearch:
         return SpinChoice(chain, self._rows(curves), text)
 
     def _further(self, ways: list[_Way], number: int) -> list[_Way]:
-        """Return the fastest ways that go on to the end of a cut, the fastest first."""
+        """Return the ways that continue to the end of a cut, the fastest first."""
         first, last = self._cuts[number]
         self._furthest = 0
         done = self._planned(ways, number, True) or self._planned(ways, number, False)
@@ -117,7 +118,7 @@ class SpinSearch:
         return done
 
     def _planned(self, ways: list[_Way], number: int, avoids: bool) -> list[_Way]:
-        """Return the fastest ways on; where it ``avoids`` them, away from singular poses."""
+        """Return the fastest continuations; with ``avoids``, away from singular poses."""
         first, last = self._cuts[number]
         best, spins = dict[int, _Way](), [self._chain.spin]
         spins += [float(spin) for spin in SPINS if abs(spin - self._chain.spin) > SAME]
@@ -173,7 +174,7 @@ class SpinSearch:
         return [] if path is None else [path.cell_right[0, -1].copy()]
 
     def _poses(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
-        """Return poses at even shares of segments, between them on chords."""
+        """Return poses at even shares of segments; poses in between are taken on chords."""
         row = np.linspace(first, last - 1.0, MOST_POSES)
         known, some = np.arange(first, last), slice(first, last)
         both = np.hstack([self._segments.bottom[some, 0], self._segments.axis[some]])

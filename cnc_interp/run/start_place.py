@@ -1,6 +1,6 @@
 """The place on the path at which a run starts, and the way there.
 
-All of the program is read and smoothed, so the path is that of the full run.
+The whole program is read and smoothed, so the path is the same as in a full run.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-#: Positions tried in a cell, and how often the nearest interval is divided again.
+#: Number of positions tried in a cell, and of further divisions of the nearest interval.
 TRIED, DIVIDED = 16, 8
-STEP = 1.0 * MM  #: In which the tool of an arm is drawn back to see how far it can be.
-THERE = 1e-9  #: Axes nearer than this to the next point stay where they are [m, rad].
+STEP = 1.0 * MM  #: Step with which the tool of an arm is drawn back to find its largest retract.
+THERE = 1e-9  #: Axes this near to the next point do not move [m, rad].
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class StartPlace:
     line: int  #: Line of the first motion.
     s: float  #: Path length from the top of the program [m].
     position: FloatArray  #: (n_axes,): Axis positions [m, rad].
-    sets: tuple[str, ...] = ()  #: Outputs that are set before the way there, in words.
+    sets: tuple[str, ...] = ()  #: Outputs that are set before the way there, as text.
 
     def after(self, functions: Functions, signals: Signals) -> StartPlace:
-        """Return the place with what the functions of the run set before the way there."""
+        """Return the place with the outputs that functions set before the way there."""
         first = functions[: functions.until(0)]
         acts = zip(first.step.tolist(), first.value.tolist(), strict=True)
         outputs = [(signals.steps[step].output, value) for step, value in acts]
@@ -81,7 +81,7 @@ class StartPlace:
 
 
 class StartFinder:
-    """Takes the whole program, passes on what is executed; row 0 is the row before the start."""
+    """Takes the whole program and passes on the executed part, after the skipped row 0."""
 
     def __init__(self, transform: Transform, flank_height: float, start: StartLine):
         self._transform, self._height, self._start = transform, flank_height, start
@@ -89,7 +89,7 @@ class StartFinder:
         self._before: Blocks | None = None  # the last row read
         self._vertex: Blocks | None = None  # the row before the start, and its first row
         self._kept: AxisPath | None = None
-        #: What comes before the start, of the part of the path that was taken last.
+        #: Part before the start, of the latest part of the path.
         self.before: AxisPath | None = None
         self._s: float | None = None
         self._position = np.zeros(0)
@@ -122,7 +122,7 @@ class StartFinder:
         return replace(mine, block=self._own(mine.block))
 
     def path(self, path: AxisPath | None, last: bool = False) -> AxisPath | None:
-        """Take a further part of the path and return what of it is executed."""
+        """Take the next part of the path, and return its executed part."""
         self.before = None
         if self._s is not None:
             return None if path is None else self._renumbered(path)
@@ -199,7 +199,7 @@ class StartFinder:
 
 
 def start_pose(row: Blocks) -> Blocks:
-    """Return the end of a row as the start pose of what follows."""
+    """Return the end of a row as the start pose of the following rows."""
     none = np.full(1, np.nan)
     return replace(
         row,
@@ -217,7 +217,7 @@ def start_pose(row: Blocks) -> Blocks:
 def approach(
     transform: Transform, flank_height: float, start: FloatArray, end: FloatArray
 ) -> AxisPath | None:
-    """Make the approach path to the start pose: all axes run straight and arrive together."""
+    """Make the approach path to the start pose, on which all axes move straight together."""
     return straight(transform, flank_height, np.stack([start, end]), np.array([np.inf]))
 
 
@@ -226,7 +226,7 @@ def way_inside(
 ) -> FloatArray:
     """Return the corners of the way to a place of the program, (5, n_axes) [m, rad].
 
-    The tool is drawn back by ``retract``, and farther where the other end lies higher along it.
+    The tool is drawn back by ``retract``, or farther if the other end lies higher along it.
     """
     here, there = tool_line(transform, stands), tool_line(transform, place)
     plunge = min(retract, there.travel[1])

@@ -1,4 +1,4 @@
-"""What a machine file needs to predict run times, fitted to which line a machine executed when.
+"""Fit the parameters of a machine file that predict run times to recorded runs.
 
 Parameters are logarithms: the jerk of each linear axis, one factor of their accelerations, the
 velocity jump and the block time of the look-ahead. Gauss-Newton steps with Broyden's update fit
@@ -39,22 +39,23 @@ from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.settings.options import Settings
 
 SPAN = 3.0  #: Least length of a window [s].
-START = BlockPace(3e-3, 1e-3, 1.0, True)  #: Where the search begins.
-SLOPE_STEP, LARGEST_STEP, ENOUGH = 0.15, 0.7, 0.02  #: Of a logarithm.
+START = BlockPace(3e-3, 1e-3, 1.0, True)  #: Start of the search.
+#: Steps of logarithms: difference, largest step, end.
+SLOPE_STEP, LARGEST_STEP, ENOUGH = 0.15, 0.7, 0.02
 STEPS = 4
-#: Rows of a part that a fit plans, of how many, and lines at its ends that do not count.
+#: Rows of a part that a fit plans, of how many rows, and lines ignored at its ends.
 CHUNK, EVERY, MARGIN = 1200, 6000, 12
-PRIOR = 0.5  #: Standard deviation of a logarithm that no window shows.
-ROBUST = 0.3  #: Beyond this residual a window counts less [s].
-CLUSTER = 10  #: Windows whose residuals may be correlated.
-SETTLED = 0.2  #: After so long on a line, a feed belongs to it [s].
-HELD = 3  #: A velocity was held if so many of its feeds are equal within 1 %.
+PRIOR = 0.5  #: Prior standard deviation of a logarithm.
+ROBUST = 0.3  #: Windows with larger residuals get less weight [s].
+CLUSTER = 10  #: Number of consecutive windows whose residuals may be correlated.
+SETTLED = 0.2  #: A feed belongs to a line after this time on it [s].
+HELD = 3  #: A velocity was held if this many feeds agree within 1 %.
 SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What a control told while it ran a program."""
+    """The record of a control while it ran a program."""
 
     name: str
     #: (k,): Times, and the line executed from then on [s].
@@ -75,7 +76,7 @@ class Trace:
         return Trace(path.name, rows[:, 0], rows[:, 1].astype(np.int64), feed)
 
     def line_at(self, time: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the line executed at times [s], and for how long it has been [s]."""
+        """Return the line executed at times [s], and for how long it has been executed [s]."""
         at = np.maximum(np.searchsorted(self.time, time, side='right') - 1, 0)
         return self.line[at], time - self.time[at]
 
@@ -138,7 +139,7 @@ class TimedProgram:
         return [slice(max(0, a - 1), a + CHUNK) for a in range(0, rows, EVERY)]
 
     def covers(self, lines: IntArray) -> BoolArray:
-        """Return which windows of lines, (w, 2), that sample holds, away from its ends."""
+        """Return which windows of lines, (w, 2), lie in the sample, away from its ends."""
         covered = np.zeros(len(lines), dtype=np.bool_)
         for rows in self.sample():
             part = self.lines[rows]
@@ -187,7 +188,7 @@ class Motion:
 
 
 def measured_override(program: TimedProgram, trace: Trace) -> float:
-    """Return the feed override that most feeds show, 1 without any."""
+    """Return the feed override that most feeds show; 1 if there are no feeds."""
     feed = np.full(int(program.lines[-1]) + 2, np.inf)
     cuts = ~program.blocks.rapid
     feed[program.lines[cuts]] = program.blocks.feedrate[cuts] / program.override
@@ -201,7 +202,7 @@ def measured_override(program: TimedProgram, trace: Trace) -> float:
 
 
 def measured_velocities(program: TimedProgram, trace: Trace) -> FloatArray:
-    """Return the velocities of X, Y, Z that rapids held, (3,) [m/s]; 0 where none did."""
+    """Return the velocities that X, Y, Z held in rapids, (3,) [m/s]; 0 if none was held."""
     step = np.diff(program.blocks.tip, axis=0, prepend=program.blocks.tip[:1])
     length = np.linalg.norm(step, axis=1)
     rows = program.blocks.rapid & (length > 0.0)
@@ -250,7 +251,7 @@ class TracedRun:
         return np.diff(motion.until(self.trace.line[self.windows]), axis=1)[:, 0]
 
     def stretches(self) -> Iterator[tuple[int, int]]:
-        """Yield the windows between which something was switched: first and last one."""
+        """Yield first and last window of the stretches in which nothing was switched."""
         breaks = np.flatnonzero(self.windows[1:, 0] != self.windows[:-1, 1]) + 1
         edges = [0, *breaks.tolist(), len(self.windows)]
         yield from ((a, b - 1) for a, b in pairwise(edges))

@@ -1,1 +1,1 @@
-"""ROS 2 nodes: thin glue around the pure rooms; the only place that knows rclpy."""
+"""ROS 2 nodes: thin layers around the rooms without ROS."""

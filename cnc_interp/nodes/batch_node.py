@@ -25,7 +25,7 @@ from cnc_interp.nodes.node_main import end_goal, every, run_node
 from cnc_interp.settings.options import with_texts
 
 FEEDBACK = 0.2  #: Time between feedbacks [s].
-NAME = re.compile(r'\w[\w. -]{0,99}')  #: What a folder of a batch may be called.
+NAME = re.compile(r'\w[\w. -]{0,99}')  #: Allowed names of batch folders.
 
 
 class BatchNode(Node):

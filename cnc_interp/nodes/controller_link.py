@@ -1,4 +1,4 @@
-"""The topics of a trajectory controller of ros2_control, heard in a thread of their own."""
+"""The topics of a trajectory controller of ros2_control, served by a separate thread."""
 
 import threading
 from collections import deque
@@ -21,7 +21,7 @@ SECOND = 10**9
 
 
 def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTrajectory:
-    """Turn a trajectory into its message; with accelerations a controller takes quintics."""
+    """Convert a trajectory to its message; with accelerations, controllers use quintics."""
     message = JointTrajectory(joint_names=list(joints))
     message.header.stamp = Time(**_parts(trajectory.start))
     rows = trajectory.rows
@@ -57,11 +57,11 @@ def _parts(nanoseconds: int) -> dict[str, Any]:
     return {'sec': nanoseconds // SECOND, 'nanosec': nanoseconds % SECOND}
 
 
-SPIN_TIMEOUT = 0.1  #: The thread looks after such times whether it shall end [s].
+SPIN_TIMEOUT = 0.1  #: Time between checks of the thread whether it shall end [s].
 
 
 class ControllerLink:
-    """The controller on its topics: a node of its own, heard while the machine node waits."""
+    """The topics of the controller, on a node that listens while the machine node waits."""
 
     def __init__(self, namespace: str, values: Mapping[str, Any], joints: Sequence[str]):
         self._joints, controller = joints, values['controller']

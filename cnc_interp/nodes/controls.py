@@ -1,4 +1,4 @@
-"""Services and topics of the operator: those of the machine node, and ``optional_stop``."""
+"""The operator's services and topics of the machine node, and ``optional_stop``."""
 
 import math
 import time
@@ -28,11 +28,11 @@ from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
 
-TOLD = 10.0  #: How long the page shows that a motion by hand was rejected or broken off [s].
+TOLD = 10.0  #: Time for which the page shows that a motion by hand was refused or stopped [s].
 
 
 class Controls:
-    """What acts on the playback at once, without the other nodes; motion by hand and homing."""
+    """Commands that act on the playback at once, without other nodes; jogging and homing."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class Controls:
         self._told_until = 0.0  # what was rejected or broken off is over then [s]
 
     def _contact(self, contact: Foresight, q: FloatArray) -> Any:
-        """Find contacts ahead once it is known where the axes are."""
+        """Find contacts ahead, once the positions of the axes are known."""
         return None if self.homing.must_home else contact(q)
 
     def _press(self, act: Callable[[], None], _request: Any, _response: Any) -> str:
@@ -187,7 +187,7 @@ def _pairs(axes: list[str], values: Any) -> dict[str, float]:
 
 
 class Overrides:
-    """The overrides. Only the machine node listens: a second listener might be found first."""
+    """The overrides. Only the machine node subscribes, because a publisher may find one first."""
 
     def __init__(
         self, node: Any, playback: Playback, diagnostics: Diagnostics, wake: Callable[[], None]
@@ -231,7 +231,7 @@ class OperatorInputs:
         return f'optional stop: {request.data}'
 
     def pauses_after(self, segments: list[PathSegment]) -> dict[int, Wait]:
-        """Return the blocks after which cycle_start is waited for, and why (M0, M1)."""
+        """Return the blocks after which the machine waits for cycle_start, and why (M0, M1)."""
         waits = {G1Block.STOP: Wait.PROGRAM_STOP}
         if self._optional_stop:
             waits[G1Block.OPTIONAL_STOP] = Wait.OPTIONAL_STOP

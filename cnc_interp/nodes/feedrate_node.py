@@ -1,4 +1,4 @@
-"""The feedrate node: ``segments`` in, ``setpoints`` out; see ``nodes/planning_session.py``."""
+"""The feedrate node: takes ``segments``, sends ``setpoints``; see ``planning_session.py``."""
 
 import sys
 import time
@@ -40,7 +40,7 @@ SWITCH = 5e-4  #: Longest time that the sending thread waits for the planning th
 
 
 class PlanningThread:
-    """A thread that does one task after another, and the task submitted last."""
+    """A thread that executes one task after another, and its latest task."""
 
     def __init__(self) -> None:
         sys.setswitchinterval(SWITCH)
@@ -60,7 +60,7 @@ class PlanningThread:
         self._job = task, self._executor.submit(task.work), time.monotonic()
 
     def done(self) -> tuple[PlanningTask, Callable[[], Any]] | None:
-        """Return the last task and its outcome once; None while it is under way."""
+        """Return the last task and its outcome, once; None while it is running."""
         if self._job is None or not self._job[1].done():
             return None
         task, future, submitted = self._job
@@ -73,9 +73,9 @@ class PlanningThread:
 
 
 WORK_PERIOD = 0.005  #: Time between checks of the planning thread [s].
-#: A machine that speaks and waits, and takes no setpoint for so long, does not hear them [s]; or
-#: it does not speak at all. Fast DDS 2.14 may lose one direction between two processes on a
-#: computer that is far too busy.
+#: A machine that reports and waits, but accepts no setpoint for this time, does not receive them;
+#: second value: silence of the machine [s]. On an overloaded computer, Fast DDS 2.14 may lose one
+#: direction between two processes.
 DEAF = 20.0
 AGAIN = 'start the nodes again, then the program'
 UNHEARD = f'machine_node does not hear the setpoints; {AGAIN}'
@@ -267,7 +267,7 @@ class FeedrateNode(LifecycleNode):
         return chunk_message(told, session.run_id, first, period, joins, signals, settings)
 
     def close(self) -> None:
-        """Close. The setpoints sent end with a stop tail."""
+        """Close the node; the setpoints already sent end with a stop tail."""
         self._active = False
         self._thread.close()
 

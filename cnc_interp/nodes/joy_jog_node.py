@@ -1,4 +1,4 @@
-"""The joystick node: ``joy`` in, beats of ``jog`` out while its enable button is pressed."""
+"""The joystick node: takes ``joy``, and sends ``jog`` beats while its enable button is pressed."""
 
 from functools import partial
 from typing import Any
@@ -14,7 +14,7 @@ from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.parameters import MACHINE
 from cnc_interp.nodes.qos import BEATS
 
-TOOL = 'tool'  #: Name by which the tool stands among the axes in the names of parameters.
+TOOL = 'tool'  #: Name of the motion along the tool, used like an axis name in parameters.
 
 
 def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
@@ -41,7 +41,7 @@ class JoyJogNode(Node):
         self.create_subscription(Joy, 'joy', self._take, BEATS)
 
     def _take(self, joy: Joy) -> None:
-        """Publish a beat for each message while the button is pressed, one when it is let go."""
+        """Publish a beat for each message while the button is pressed, and one at its release."""
         button = self._values['enable_button']
         before, self._enabled = self._enabled, bool(joy.buttons[button : button + 1].count(1))
         if not self._enabled:

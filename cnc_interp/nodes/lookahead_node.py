@@ -1,4 +1,4 @@
-"""The look-ahead node: ``blocks`` or ``block_batches`` in, rounded ``segments`` out."""
+"""The look-ahead node: takes ``blocks`` or ``block_batches``, and sends rounded ``segments``."""
 
 from collections import deque
 from functools import partial
@@ -28,7 +28,7 @@ BATCH = 256  #: Blocks smoothed together.
 
 
 class SmoothingRun:
-    """The smoothing of one run, by a smoother that has seen no blocks."""
+    """The smoothing of one run, with a new smoother."""
 
     def __init__(self, first: G1Block, smoother: PathSmoother):
         self.run_id: RunId = run_id_of(first)
@@ -52,7 +52,7 @@ class SmoothingRun:
             self._program_stops[block.sequence] = block.program_stop
 
     def smooth(self) -> tuple[int, list[PathSegment]]:
-        """Smooth the next batch; return its blocks' number and the segments that are complete."""
+        """Smooth the next batch; return its number of blocks, and the completed segments."""
         assert self._smoother is not None
         batch = [self.blocks.popleft() for _ in range(min(BATCH, len(self.blocks)))]
         self.complete = batch[-1].end_of_program
@@ -105,8 +105,8 @@ class SmoothingRun:
         return found
 
 
-WORK_PERIOD = 0.01  #: Time between two looks for work while blocks or segments are under way [s].
-MOST_WAITING = 1024  #: Segments that may wait for the planner before smoothing continues.
+WORK_PERIOD = 0.01  #: Time between checks for work while blocks or segments are in transit [s].
+MOST_WAITING = 1024  #: Smoothing pauses while more segments wait for the planner.
 MOST_TOGETHER = 32  #: Most segments in one message.
 
 
@@ -143,7 +143,7 @@ class LookaheadNode(Node):
         self._pace = Pace(self, WORK_PERIOD, self._work)
 
     def _blocks_of(self, message: G1Block | G1BlockBatch) -> list[G1Block]:
-        """Return the blocks of a message; an empty one says that its sender is there."""
+        """Return the blocks of a message; an empty message only shows that its sender is alive."""
         self._watch.hear()
         return blocks_of(message)
 

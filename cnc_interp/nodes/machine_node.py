@@ -1,4 +1,4 @@
-"""The machine node: ``setpoints`` in, at absolute deadlines into the drives."""
+"""The machine node: takes ``setpoints``, and sends them to the drives at absolute deadlines."""
 
 from functools import partial
 from typing import Any
@@ -26,7 +26,7 @@ from cnc_interp.wire.path_messages import JoinGate, chunk_from
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-WORK_PERIOD = 0.005  #: Time between two looks at what was played, while in motion [s].
+WORK_PERIOD = 0.005  #: Time between readings of the cycle's records, in motion [s].
 CLOCK_PERIOD = 1.0  #: Time between reports about the clock [s].
 #: States in which setpoints are rejected.
 CLOSED = (State.INACTIVE, State.STOPPING, State.FAULT)
@@ -109,7 +109,7 @@ class MachineNode(LifecycleNode):
         return super().on_deactivate(state)
 
     def _pass(self, chunk: SetpointChunk) -> list[SetpointChunk]:
-        """Keep the first chunks of a plan that joins until there are enough."""
+        """Hold back the first chunks of a joining plan until there are enough."""
         self._pace.wake()
         receiver = self._inlet.receiver
         new = chunk.first_sample == 0 and chunk.program_id != receiver.run_id.program_id
@@ -157,7 +157,7 @@ class MachineNode(LifecycleNode):
             playback.push(chunk_from(chunk))
 
     def _see_refusal(self) -> None:
-        """Stop on the path after the valid setpoints, because the run gets no further ones."""
+        """Stop on the path after the valid setpoints, because the run receives no more."""
         self._playback.refuse(self._inlet.receiver.refusal_text)
 
     def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
@@ -204,7 +204,7 @@ class MachineNode(LifecycleNode):
             )
 
     def come_to_rest(self) -> bool:
-        """Stop on the path, as at a feed hold; tell whether the axes stand. Call it until then."""
+        """Stop on the path as at a feed hold; return whether the axes rest. Call it repeatedly."""
         if self._clock_of_drives is None:
             return True
         playback = self._playback

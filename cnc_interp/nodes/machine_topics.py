@@ -1,4 +1,4 @@
-"""What the machine node publishes: state, joints, executed setpoints."""
+"""Topics published by the machine node: state, joints, executed setpoints."""
 
 import math
 import time
@@ -23,12 +23,12 @@ from cnc_interp.nodes.seals import SealedPublisher
 from cnc_interp.wire import machine_messages as messages
 from cnc_interp.wire.run_messages import coordinates_from, in_program
 
-EXECUTED_RATE = 10.0  #: Rate of reports of what was executed [Hz].
-EARLY = 2e-3  #: A message may come so much before its time, rather than a period late [s].
+EXECUTED_RATE = 10.0  #: Rate of reports of executed setpoints [Hz].
+EARLY = 2e-3  #: A message may be this early, rather than a period late [s].
 
 
 class Rate:
-    """Publishes at a rate, or whenever asked if that is more seldom, as at rest."""
+    """Limits publishing to a rate; calls may also be less frequent, as at rest."""
 
     def __init__(self, rate: float, publish: Callable[[], None]):
         self._period, self._publish, self._due = 1.0 / rate, publish, -math.inf
@@ -68,7 +68,7 @@ class MachineTopics:
         self._contacts = SealedPublisher(node, msg.ProbeContact, 'probe_contact', CONTACTS)
         self._followed = SealedPublisher(node, msg.FollowedSpindle, 'followed_spindle', STREAM)
         self._feedback = SealedPublisher(node, msg.AxisFeedback, 'axis_feedback', STREAM)
-        #: The modal states of the program and of the lines by hand that were told last.
+        #: Last published modal states of the program and of MDI lines.
         self._modes: dict[str, msg.ModalState] = {}
         for topic in ('active_modes', 'modal_state'):
             take = partial(self._take_modes, topic)

@@ -28,7 +28,7 @@ from cnc_interp.run.clearance_stage import setup_text
 from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
 FRAME = 'workpiece'  #: The frame of programs, see the machines' URDF.
-#: Points of one marker: long lines are cut, so that only their end is sent again.
+#: Largest number of points of a marker; long lines are divided, so that only their end is resent.
 POINTS = 1000
 PROGRAMMED = ColorRGBA(r=0.55, g=0.62, b=0.68, a=1.0)
 EXECUTED = ColorRGBA(r=0.30, g=0.76, b=0.54, a=1.0)

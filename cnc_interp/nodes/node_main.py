@@ -30,10 +30,11 @@ from cnc_interp.nodes.qos import DIAGNOSTICS
 from cnc_interp.processes.this_host import stay_on_this_host
 
 SPIN_TIMEOUT = 0.1  #: Timeout of the executor while the axes come to rest [s].
-IDLE_TIMEOUT = 1.0  #: Its timeout before: signals and the end of the run wake it [s].
-REST_WAIT = 8.0  #: Longest time in which a node that is to end may bring axes to rest [s].
-LAST_WORDS = Duration(seconds=0.2)  #: Longest wait for last messages, each topic.
-NICENESS = -10  #: Of the nodes, if permitted: setpoints do not wait for others.
+#: Timeout of the executor in normal operation; signals and the end of the run wake it [s].
+IDLE_TIMEOUT = 1.0
+REST_WAIT = 8.0  #: Longest time for a node that ends to bring the axes to rest [s].
+LAST_WORDS = Duration(seconds=0.2)  #: Longest wait for the last messages of each topic.
+NICENESS = -10  #: Niceness of the nodes, if permitted, so that setpoints do not wait for others.
 
 
 def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bool = True) -> int:
@@ -95,7 +96,7 @@ def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bo
 
 
 def wake_at(files: list[int], executor: EventsExecutor) -> None:
-    """Wake an executor when one of some files can be read: alone it hears no signal."""
+    """Wake an executor when one of some files becomes readable; signals alone do not wake it."""
     select(files, [], [])
     executor.create_task(lambda: None)
 
@@ -103,7 +104,7 @@ def wake_at(files: list[int], executor: EventsExecutor) -> None:
 def answering(
     act: Callable[[Any, Any], str], wake: Callable[[], None] = lambda: None
 ) -> Callable[[Any, Any], Any]:
-    """Return a service that answers with the text of an action, or in one line why not."""
+    """Return a service that answers with the text of an action, or with one line of reason."""
 
     def serve(request: Any, response: Any) -> Any:
         wake()
@@ -117,9 +118,10 @@ def answering(
 
 
 def end_goal(handle: Any, result: Any, succeeded: bool, cancelled: bool = True) -> None:
-    """End a goal of an action with its result; ``cancelled``: whether a client may be the cause.
+    """End the goal of an action with its result; ``cancelled``: whether a client may be the cause.
 
-    rclpy polls an awaiting execute callback at most of a core, so the result is there before.
+    The result must exist beforehand, because rclpy polls an awaiting execute callback and so uses
+    most of a core.
     """
 
     def execute(goal: Any) -> Any:
@@ -135,7 +137,7 @@ def end_goal(handle: Any, result: Any, succeeded: bool, cancelled: bool = True) 
 
 
 def answer_flush(node: Any, _request: Any, response: Any) -> Any:
-    """Publish what the node has collected; the end of a recording asks for it."""
+    """Publish the collected messages of the node, which the end of a recording requests."""
     if hasattr(node, 'publish_rest'):
         node.publish_rest()
     response.success = True
@@ -173,21 +175,21 @@ def start_lifecycle(node: Any) -> None:
 
 
 def every(node: Any, period: float, act: Callable[[], None]) -> Any:
-    """Call at intervals by a clock that never stands, which ``/clock`` may do."""
+    """Call at intervals of a steady clock, because ``/clock`` may stop."""
     return node.create_timer(period, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-#: Time between two calls at rest [s]; it decides how often the nodes are heard then, and so what
-#: they cost.
+#: Time between two calls at rest [s]; it determines how often the nodes report then, and so their
+#: processor load.
 REST = 0.5
-CALM = 1.0  #: Time after the last need for work until the node rests [s].
+CALM = 1.0  #: Time without work after which the node counts as resting [s].
 
 
 def give_back_memory() -> None:
-    """Free what a run leaves in reference cycles, and return it to the system.
+    """Free the memory that a run leaves in reference cycles, and return it to the system.
 
-    The collector counts objects, of which a run leaves few: their large arrays would stay for many
-    runs. What is freed in between lies in pieces, which only the C library can return.
+    The collector counts objects, and a run leaves only few, so their large arrays would stay for
+    many runs. Freed memory is fragmented, and only the C library can return it.
     """
     gc.collect()
     trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc
@@ -204,7 +206,7 @@ class Pace:
         self._timer = every(node, period, self._call)
 
     def wake(self) -> None:
-        """Work at the short intervals from now on; to be called with every command or message."""
+        """Work at the short intervals from now on; call it with every command or message."""
         self._needed = time.monotonic()
         if self._slow:
             self._set(False)
@@ -226,8 +228,8 @@ WAITING = 'waiting'  #: Key under which program_node names the programs that wai
 TOOL = 'tool'  #: Key of the number of the tool that the operator must put in now.
 #: Key of the distance of the tool tip from the end of its line, where a single block rests [m].
 OFF_LINE_END = 'off_line_end'
-PREPARED = 'prepared'  #: Key of the share of what a program waits for before it moves [-].
-#: Key under which machine_node gives the contour error that there were without compensation [m].
+PREPARED = 'prepared'  #: Key of the progress of the preparation of a program before it moves [-].
+#: Key under which machine_node reports the contour error without compensation [m].
 WITHOUT = 'contour_error_without_compensation'
 #: Key under which a node names two bodies that hit each other, or would; apart by ``AND``.
 BODIES, AND, STOCK = 'bodies', ' | ', 'stock'

@@ -1,4 +1,4 @@
-"""The last messages of the other nodes, and which nodes are silent."""
+"""The latest messages of the other nodes, and silent nodes."""
 
 import math
 import time
@@ -18,7 +18,7 @@ from cnc_interp.wire.message_checks import check_state
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
-#: The machine continues by itself, without cycle_start, if it waits for one of these.
+#: Waits after which the machine continues by itself, without cycle_start.
 STARTS_BY_ITSELF = (
     MachineState.WAITS_FOR_SETPOINTS,
     MachineState.WAITS_FOR_OVERRIDE,
@@ -33,7 +33,7 @@ def watch_machine(
     diagnostics: Diagnostics | None = None,
     tell: Callable[[str], object] = str,
 ) -> None:
-    """Pass on the states of the machine; drop one that is not sound, and tell why."""
+    """Pass on the states of the machine; drop an invalid one, and report why."""
 
     def see(state: MachineState) -> None:
         try:
@@ -72,7 +72,7 @@ class Peers:
 
     @property
     def heard(self) -> float:
-        """When any other node was heard last, in monotonic time [s]."""
+        """Monotonic time at which any other node was last heard [s]."""
         return max(self._state_seen, *self._seen.values(), -math.inf)
 
     def trust(self, now: float) -> None:
@@ -100,7 +100,7 @@ class Peers:
 
     @property
     def all_heard(self) -> bool:
-        """Return whether each other node was heard once; one that was not may still start."""
+        """Return whether every other node has been heard; one that was not may still start."""
         return self.state is not None and self._seen.keys() >= RECEIVERS.keys()
 
     def missing(self, now: float, timeout: float) -> str:
@@ -110,7 +110,7 @@ class Peers:
         return '' if now - self._state_seen <= timeout else 'machine_node'
 
     def refusal(self, run_id: RunId) -> tuple[Refusal, str]:
-        """Return why a run was rejected, by the node nearest to the machine that did."""
+        """Return why a run was refused, by the refusing node nearest to the machine."""
         for stream in reversed(RECEIVERS):
             status = self._status.get(stream)
             # A plan that joins too late does not end the run.
@@ -121,7 +121,7 @@ class Peers:
         return Refusal.NONE, ''
 
     def told(self, stream: str, run_id: RunId) -> StreamStatus:
-        """Return what the receiver of a stream told last of a run."""
+        """Return the last status of a run from the receiver of a stream."""
         return self._status[stream] if self.knows(stream, run_id) else StreamStatus()
 
     def knows(self, stream: str, run_id: RunId) -> bool:

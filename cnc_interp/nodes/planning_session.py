@@ -1,6 +1,6 @@
-"""The planning of one run after the other; no ROS calls, no clock, no threads.
+"""The planning of successive runs; without ROS calls, clock or threads.
 
-``step`` returns what is to be done next as a task; who called it hands the result to ``finish``.
+``step`` returns the next task. The caller executes it and hands the result to ``finish``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Port(Protocol):
-    """What the session asks of the node around it."""
+    """The functions that the session needs from its node."""
 
     outlet: Outlet
 
@@ -48,9 +48,9 @@ class Port(Protocol):
 
 @dataclass(frozen=True)
 class Received:
-    run_id: RunId = NO_RUN  #: The plan that it receives.
-    executed: float = -math.inf  #: Number of the next setpoint that it executes, by now.
-    turned_away: bool = False  #: The plan sent last was to join where the machine has passed.
+    run_id: RunId = NO_RUN  #: Plan that the machine receives.
+    executed: float = -math.inf  #: Estimated number of the next setpoint to be executed.
+    turned_away: bool = False  #: Whether the last plan came too late to join.
 
 
 @dataclass(frozen=True)
@@ -100,22 +100,22 @@ class PathEnd(IntEnum):
     QUEUED = 3  # its last setpoint is handed to the sender
 
 
-SEGMENTS_PER_TASK = 64  #: Segments taken over together.
-#: Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled.
+SEGMENTS_PER_TASK = 64  #: Number of segments taken together.
+#: Motion sampled beyond the sent setpoints; the remaining planned motion stays unsampled [s].
 SAMPLED_AHEAD = 0.6
 REVISE_AGAIN = 0.02  #: Time between the end of a revision and the next one [s].
-#: Motion sent ahead of the machine before a revision begins, as the plan that continues is not
-#: sampled meanwhile; longest time between two where there is less [s].
+#: Motion sent ahead before a revision begins, because the current plan is not sampled meanwhile;
+#: longest time between two revisions if less motion is ahead [s].
 REFILLED, REFILLING = 0.8, 0.5
-#: Motion ahead of the machine after which a revision joins; the most, after a late one [s].
+#: Lead time with which a revision joins, and the largest one, after a late revision [s].
 LEAD, LONGEST_LEAD = 0.065, 0.4
 LONGER = 1.3  #: Time given to a revision, relative to the time of the one before [-].
-MARGIN = 0.03  #: A revision that joins less ahead of the machine than this is late [s].
+MARGIN = 0.03  #: A revision that would join with less lead time is late [s].
 
 
 @dataclass(frozen=True)
 class Kept:
-    """The plan that counts until another one has joined."""
+    """The plan in effect until another one has joined."""
 
     run_id: RunId
     joins_at: int
@@ -124,7 +124,7 @@ class Kept:
 
 
 class PlanningSession:
-    """``port``: whose setpoints are sent, and segments read; the node, or what stands for it."""
+    """Plans runs; ``port``: the node that sends setpoints and reads segments."""
 
     def __init__(self, port: Port, period: float, plan_ahead: float):
         self._port, self._period, self._plan_ahead = port, period, plan_ahead
@@ -187,7 +187,7 @@ class PlanningSession:
         self.task, self.wants_segments = None, False
 
     def step(self, now: float, received: Received) -> PlanningTask | None:
-        """Return what to do now, at a time of any steady clock [s]; None while a task runs."""
+        """Return the next task at a time of a steady clock [s]; None while a task runs."""
         self._received = received
         if self.activity is Activity.JOINING:
             self._see_join()
@@ -300,7 +300,7 @@ class PlanningSession:
         return ahead < MARGIN and not self._is_last(number)
 
     def _see_join(self) -> None:
-        """Continue when the machine has answered; with the plan before if it has passed there."""
+        """Continue once the machine has answered; keep the old plan if the join came too late."""
         kept, planner = self._kept, self.planner
         if self._received.turned_away and kept is not None and planner is not None:
             planner.stream.adopt(kept.plan)
@@ -351,7 +351,7 @@ class PlanningSession:
                 self.path_end = PathEnd.QUEUED
 
     def finish(self, task: PlanningTask, outcome: Callable[[], Any], now: float) -> None:
-        """Store the result of a task, unless of an earlier run; an InterpError rejects the run."""
+        """Store the result of a task of this run; an InterpError refuses the run."""
         if task is not self.task:
             return
         self.task = None

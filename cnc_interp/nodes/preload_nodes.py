@@ -1,4 +1,4 @@
-"""Everything that the nodes need, imported once by the process that they are forked from."""
+"""Imports of the nodes, loaded once by the process from which they are forked."""
 
 import gc
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""From a goal to blocks that are known to run: read, then checked to the last block."""
+"""Read the program of a goal, and check it to its last block before anything moves."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -29,30 +29,30 @@ from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import settings_of_goal
 
-LONGEST_TEXT = 16 << 20  #: Largest length of a text that is kept for display [bytes].
+LONGEST_TEXT = 16 << 20  #: Longest text that is kept for display [bytes].
 
 
 @dataclass(frozen=True)
 class Prepared:
     blocks: BlockSpool  #: Start pose, then the program.
-    notices: tuple[str, ...]  #: What had no effect or was simplified.
-    text: str  #: The program's text; empty when it is very long.
-    settings: Settings  #: The choices of the run.
-    path_length: float  #: Length of the smoothed path [m]; 0 for a line by hand without motion.
-    #: (k,): Rows of the corners at which a stop is faster, ascending. All others are known, too,
-    #: so that the look-ahead need not try them again.
+    notices: tuple[str, ...]  #: Words that had no effect or were simplified.
+    text: str  #: Text of the program; empty if it is very long.
+    settings: Settings  #: Settings of the run.
+    path_length: float  #: Length of the smoothed path [m]; 0 for an MDI line without motion.
+    #: (k,): Ascending rows of corners at which a stop is faster. At all other corners it is not,
+    #: so the look-ahead need not try them again.
     stops: IntArray
-    setup: JobSetup  #: The offsets and tools that it was read with.
-    is_own_setup: bool  #: Whether the goal has named them: not those of the machine.
-    changes: tuple[ProgramChange, ...]  #: What it changes of them.
-    used: frozenset[str]  #: What it uses of them.
+    setup: JobSetup  #: Offsets and tools with which it was read.
+    is_own_setup: bool  #: Whether the goal named them, instead of those of the machine.
+    changes: tuple[ProgramChange, ...]  #: Changes that it makes to them.
+    used: frozenset[str]  #: Names of those that it uses.
     modes: ModesOfBlocks  #: The modal state of each block.
-    functions: Functions = NO_FUNCTIONS  #: What it switches.
-    start: StartPlace | None = None  #: Where the run starts, if that is not the top.
+    functions: Functions = NO_FUNCTIONS  #: Functions of the program.
+    start: StartPlace | None = None  #: Start of the run, if not at the top.
     waits_first: bool = False  #: Whether it waits for the operator before it moves (M0).
-    line: MdiLine | None = None  #: The line by hand, whose state is kept once executed.
-    probe: Probe | None = None  #: The probe at whose answer the program is read on.
-    stream: ProgramStream | None = None  #: What is read on.
+    line: MdiLine | None = None  #: MDI line, whose modal state is kept once executed.
+    probe: Probe | None = None  #: Probe after whose answer reading continues.
+    stream: ProgramStream | None = None  #: Stream from which reading continues.
 
     def __getitem__(self, rows: slice) -> Blocks:
         blocks = self.blocks[rows]
@@ -70,7 +70,7 @@ def prepare(
     folders: Sequence[str] = (),
     of_machine: Callable[[], JobSetup] = JobSetup,
 ) -> Prepared:
-    """Read and check the program of a goal before anything moves; memory stays flat."""
+    """Read and check the program of a goal before anything moves, with constant memory."""
     machine = transform.machine
     if goal.machine and goal.machine != machine.name:
         raise InterpError(
@@ -119,7 +119,7 @@ def prepare_on(
     transform: Transform,
     told: Callable[[float], None],
 ) -> Prepared:
-    """Read a program on after its probe, as ``ProgramStream.go_on``, and check what follows."""
+    """Continue reading a program after its probe, and check the next part."""
     assert before.stream is not None
     before.stream.go_on(stands, at)
     stream, settings = before.stream, before.settings
@@ -153,7 +153,7 @@ def check(
     may_rest: bool = False,
     stands: FloatArray | None = None,
 ) -> Prepared:
-    """Lead a program through smoothing and kinematics to its last block; raises as ``prepare``."""
+    """Check a program by smoothing and kinematics to its last block; raises as ``prepare``."""
     blocks, length = BlockSpool(), 0.0
     chain, tolerances = PathChain(transform, settings, stands=stands), ToleranceUse()
     finder = None
@@ -228,7 +228,7 @@ class Preparation:
             raise BlockError('cancelled before anything moved')
 
     def look(self) -> Outcome | None:
-        """Return the outcome if the program was rejected; store it when it is checked."""
+        """Return the outcome if the program was refused; once checked, store the program."""
         if self.prepared is not None or self.future is None or not self.future.done():
             return None
         try:

@@ -1,4 +1,4 @@
-"""The program node: action ``run_program`` in, ``block_batches`` out within the window."""
+"""The program node: serves the action ``run_program``, and sends ``block_batches``."""
 
 import math
 import time
@@ -69,11 +69,11 @@ class Mdi:
             self._publisher.publish(modal_state(self._reader.modes(setup)))
 
     def coordinates(self, setup: JobSetup) -> ProgramCoordinates:
-        """Return those of the next line, with these offsets and tools."""
+        """Return the coordinates of the next MDI line, with these offsets and tools."""
         return self._reader.modes(setup).frame
 
     def refusal(self, run: ProgramRun, peers: Peers, missing: str, busy: bool) -> Outcome | None:
-        """Return why a line cannot start now; else store in its run where the machine stands."""
+        """Return why a line cannot start now; if it can, store the machine's position."""
         if busy:
             return Outcome(Code.BUSY, 'a program is running; give the line when it has ended')
         machine = peers.machine
@@ -121,7 +121,7 @@ WORK_PERIOD = 0.02  #: Time between two steps of a run [s].
 FEEDBACK = 0.1  #: Time between feedbacks [s].
 ALIVE = 1.0  #: Time between empty messages while blocks are held back [s].
 PRESS_AGAIN = 0.25  #: Time between repeated calls of a service of the machine [s].
-FROZEN = 0.5  #: After a longer pause of its own, silence of the other nodes does not count [s].
+FROZEN = 0.5  #: After a longer pause of this node, silence of other nodes is ignored [s].
 
 
 class ProgramNode(Node):
@@ -282,7 +282,7 @@ class ProgramNode(Node):
     def _read_on(
         self, run: ProgramRun, stands: FloatArray, at: FloatArray | None, now: float
     ) -> None:
-        """Read the program on from a probe; what it has changed of the setup counts now."""
+        """Continue reading the program after a probe, with its changes of the setup in effect."""
         before, state = run.preparation.prepared, self._state
         assert before is not None and state is not None
         self._keep_changes(run, Outcome(Code.SUCCEEDED, ''))
@@ -300,7 +300,7 @@ class ProgramNode(Node):
         self._state = None
 
     def _see_unknown_run(self, now: float) -> None:
-        """Say what to do if the machine waits in a run that this node has not begun."""
+        """Report what to do if the machine waits in a run that this node has not begun."""
         state = self._peers.state
         if state is None or not state.program_id:
             return
@@ -334,7 +334,7 @@ class ProgramNode(Node):
         self._diagnostics.say('program', level, text, **values)
 
     def _keep_changes(self, run: ProgramRun, outcome: Outcome | None) -> None:
-        """Keep what the program has changed of the setup, as far as it was executed."""
+        """Store the program's changes of the setup, as far as they were executed."""
         state = self._state
         ended = outcome is not None and outcome.code is Code.SUCCEEDED
         if not ended and (state is None or not state.samples):
@@ -390,7 +390,7 @@ class ProgramNode(Node):
             self._queue.give_up(run.name)
 
     def close(self) -> None:
-        """Close. The blocks sent are executed; the look-ahead ends the path after them."""
+        """Close the node; the sent blocks are still executed, and the look-ahead ends the path."""
         self._worker.shutdown(wait=False, cancel_futures=True)
         self._server.destroy()
         self._table.close()

@@ -1,4 +1,4 @@
-"""One run of a program, from its goal to its outcome; and goals that wait. No ROS calls."""
+"""One run of a program from its goal to its outcome, and waiting goals; without ROS calls."""
 
 import time
 import uuid
@@ -31,12 +31,13 @@ from cnc_interp.wire.path_messages import block_messages, function_messages
 from cnc_interp.wire.run_messages import loaded_program, pairs_of
 from cnc_interp.wire.window_protocol import WindowedSender
 
-PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].
-STARTING = 60.0  #: The same to the nodes that were never heard: they start, and load kernels [s].
-FORGOTTEN = 1.0  #: A machine that has left its run for so long was reset or started again [s].
-SWITCHED = 0.1  #: The machine has told its new state so long after a call, at the latest [s].
-SAME = 1e-9  #: Within this, the machine stands where a line by hand starts [m, rad].
-#: Place of a start at the line of the first motion [m]: above 0, for it waits like any other.
+PATIENCE = 10.0  #: Longest time for look-ahead and planner to accept a run [s].
+#: The same for nodes that were never heard, because they start and load kernels [s].
+STARTING = 60.0
+FORGOTTEN = 1.0  #: A machine that has left its run for this time was reset or restarted [s].
+SWITCHED = 0.1  #: Longest delay of the machine's new state after a call [s].
+SAME = 1e-9  #: Tolerance within which the machine is at the start of an MDI line [m, rad].
+#: Place of a start at the line of the first motion [m]; above 0, so that it waits as usual.
 FIRST_MOTION = 5e-14
 MACHINE = RECEIVERS['setpoints']
 PLANNERS = {RECEIVERS['blocks'], RECEIVERS['segments']}
@@ -80,8 +81,8 @@ class ProgramRun:
         self._known_by: set[str] = set()
         self.answer: Any = None  # of the machine, to functions without motion
         self.contact: ProbeContact | None = None  # of this part of the program
-        #: Where the axes stand and where they were when the probe answered, if it has [m, rad]:
-        #: the program must be read on.
+        #: Present positions of the axes, and those at the probe's answer, if any [m, rad]. If set,
+        #: reading of the program must continue.
         self.probed: tuple[FloatArray, FloatArray | None] | None = None
         self.parts: list[MachineState] = []  # the last state of each part before
         self.sent_in_parts = 0  # blocks
@@ -134,7 +135,7 @@ class ProgramRun:
         return 0 if program is None else len(program.functions)
 
     def _switching(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """Watch functions without motion: until the machine has set all, and has its answers."""
+        """Watch functions without motion until the machine has set all and has its answers."""
         machine, answer = peers.machine, self.answer
         if peers.missing(now, timeout) or answer is None or machine is None:
             return why_not(MACHINE, None)
@@ -201,7 +202,7 @@ class ProgramRun:
         return run_phase.refused(kind, reason, moved=self._machine is not None)
 
     def _at_probe(self, probe: Probe, machine: MachineReport) -> Outcome | None:
-        """Return why the program ends at the probe; if it continues, where it was."""
+        """Return why the program ends at the probe; if it continues, store the contact."""
         contact = self.contact
         if machine.probed and contact is None:
             return None  # its message comes
@@ -261,7 +262,7 @@ class ProgramRun:
         )
 
     def waits_for(self, peers: Peers) -> tuple[str, float] | None:
-        """Say what the run waits for before it moves, and which share of that is there."""
+        """Return what the run waits for before it moves, and the progress of that [-]."""
         program, state = self.preparation.prepared, peers.state
         if self.phase is Phase.CHECKING:
             share = self.preparation.checked
@@ -277,7 +278,7 @@ class ProgramRun:
         return f'planning {self.name}: {text}', share
 
     def tool_wanted(self, state: MachineState | None, signals: Signals) -> int | None:
-        """Return the tool that the operator must put in now; None while nothing waits for one."""
+        """Return the tool that the operator must put in now, if any."""
         program = self.preparation.prepared
         if state is None or program is None or not state.functions or self.phase not in SENDING:
             return None
@@ -290,7 +291,7 @@ class ProgramRun:
         return int(program.functions.value[last]) if signals.is_change(step) else None
 
     def off_line_end(self, state: MachineState) -> float | None:
-        """Return how far the tool tip rests from the end of its line after a single block [m]."""
+        """Return the distance of the resting tip from the end of its line in single block [m]."""
         program = self.preparation.prepared
         rests = state.resting and state.reason == MachineState.REASON_SINGLE_BLOCK
         if program is None or not rests or state.program_id != self.run_id.program_id:
@@ -302,7 +303,7 @@ class ProgramRun:
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 
     def begin_again(self, now: float, sent: int) -> None:
-        """Begin again where the machine rests: the same blocks give the same path."""
+        """Restart where the machine rests; the same blocks give the same path."""
         self.sent_before = max(self.sent_before, sent)
         reached = 0.0 if self._machine is None else self._machine.path_position
         # It is not above 0 on the approach.
@@ -335,7 +336,7 @@ class ProgramRun:
         self._change(PhaseChange.STALE, now)
 
     def take_changes(self, block: int, ended: bool) -> list[ProgramChange]:
-        """Return what the program has changed of the machine's setup since the last call."""
+        """Return the program's changes of the machine's setup since the last call."""
         program = self.preparation.prepared
         if program is None or program.is_own_setup:
             return []
@@ -452,7 +453,7 @@ class BlockFeed:
 
 
 def line_ends(blocks: Blocks) -> IntArray:
-    """Return the rows at which a source line ends and the path may rest; not inside a spline."""
+    """Return the rows that end a source line and at which the path may rest (not in splines)."""
     line, spline = blocks.line_number, blocks.on_spline
     return np.flatnonzero((line[:-1] != line[1:]) & ~(spline[:-1] & spline[1:]))
 
@@ -471,7 +472,7 @@ def answer(handle: Any, result: RunProgram.Result) -> None:
 
 
 class ProgramQueue:
-    """A queue of goals, first in, first out. Goals that are cancelled or refused leave it, too."""
+    """A first-in, first-out queue of goals; cancelled or refused goals are removed."""
 
     def __init__(self) -> None:
         self._entries: deque[Waiting] = deque()

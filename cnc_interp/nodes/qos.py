@@ -32,15 +32,17 @@ STREAM = _last(DEPTH)
 SETPOINTS = _last(1024)
 STATUS = _last(64)  #: ``stream_status``: an acknowledgement supersedes the one before.
 STATE = _last(64)  #: ``machine_state``: changes of state must arrive.
-MARKERS = _last(16)  #: ``markers``: what RViz asks for; a new listener gets all again.
+MARKERS = _last(16)  #: ``markers``: profile of RViz; all is sent again to a new subscriber.
 #: ``blocks``, ``block_batches``, ``executed_setpoints`` for viewers: no sender waits for them.
 LISTENING = _last(DEPTH, BEST_EFFORT)
-JOINTS = _last(10)  #: ``joint_states``: what RViz and recorders ask for.
+JOINTS = _last(10)  #: ``joint_states``: profile of RViz and recorders.
 TRAJECTORY = _last(1)  #: Trajectories of ``drives: trajectory``: each replaces the one before.
-FEEDBACK = _last(64, BEST_EFFORT)  #: Their feedback: fits every publisher of joint states.
-DIAGNOSTICS = _last(64)  #: ``/diagnostics``: what aggregators ask for.
-#: ``loaded_program``, ``setup_table``, ``modal_state``, ``active_modes``: for who joins later.
+#: Controller feedback: compatible with every publisher of joint states.
+FEEDBACK = _last(64, BEST_EFFORT)
+DIAGNOSTICS = _last(64)  #: ``/diagnostics``: profile of aggregators.
+#: ``loaded_program``, ``setup_table``, ``modal_state``, ``active_modes``: kept for later
+#: subscribers.
 LOADED = _last(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CONTACTS = _last(64)  #: ``probe_contact``: every one must arrive.
-OVERRIDE = _last(10)  #: Overrides: what ``ros2 topic pub`` offers.
-BEATS = _last(1, BEST_EFFORT)  #: ``jog``: a beat that is lost must not come late.
+OVERRIDE = _last(10)  #: Overrides: profile of ``ros2 topic pub``.
+BEATS = _last(1, BEST_EFFORT)  #: ``jog``: a lost beat must not be resent.

@@ -1,4 +1,4 @@
-"""Topics on which the nodes follow each other: every message is sealed, others are ignored."""
+"""Topics between the nodes: messages are sealed, and unsealed messages are ignored."""
 
 import time
 from collections import Counter
@@ -12,10 +12,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from cnc_interp.nodes.node_main import WARN, Diagnostics
 from cnc_interp.wire.seals import SECOND, WAITS, KnownSender, Place, Seal, opened_seal
 
-UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node that is just being discovered.
+UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node whose discovery is incomplete.
 #: Each stream with the node that receives it.
 RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints': 'machine_node'}
-#: Topics with seals, and who publishes there. On ``blocks`` anyone may, if alone.
+#: Sealed topics and their publishing nodes. On ``blocks`` any single publisher is accepted.
 OWNERS: dict[str, tuple[str, ...]] = {
     'blocks': (),
     'block_batches': ('program_node',),
@@ -29,13 +29,13 @@ OWNERS: dict[str, tuple[str, ...]] = {
     'followed_spindle': ('machine_node',),
     'loaded_program': ('program_node',),
 }
-#: Those whose messages have numbers of their own.
+#: Topics whose messages carry their own numbers.
 STREAMS = ('blocks', 'block_batches', 'segments', 'setpoints', 'executed_setpoints')
 UNSEALED = 'has no seal of these nodes'
 
 
 def publishers_of(node: Any, topic: str, owners: Collection[str] = ()) -> str:
-    """Name the nodes that publish on a topic beside those whose it is."""
+    """Return the names of nodes that publish on a topic without being its rightful publishers."""
     names = [info.node_name for info in node.get_publishers_info_by_topic(topic)]
     found = {name for name in names if name not in (*owners, UNKNOWN)}
     found = found or {f'a second {name}' for name in owners if names.count(name) > 1}
@@ -52,25 +52,25 @@ class SealedPublisher:
         self._seal = Seal(place_of(node, topic))
 
     def publish(self, message: Any) -> None:
-        """Seal a message, or one that is serialised, and publish it."""
+        """Seal a message, serialised or not, and publish it."""
         data = message if isinstance(message, bytes) else serialize_message(message)
         self._publisher.publish(self._seal.on(bytes(data)))
 
 
 class Heard(NamedTuple):
-    """A topic that is listened to: the kind of its messages, its name, and the profile."""
+    """A subscribed topic: message type, name, and quality of service."""
 
     kind: Any
     topic: str
     profile: QoSProfile
-    about: bytes = b''  #: Messages without these bytes are for others: they are not opened.
+    about: bytes = b''  #: Messages without these bytes are for others and are skipped.
 
 
 class Ear:
-    """Reads one topic; ignores, counts and names messages without the seal of its sender.
+    """Reads one topic; it ignores, counts and reports messages without the seal of its sender.
 
-    ``tell`` gets who sent it; ``spoilt`` says whether a message was damaged on its way. ``read``
-    makes of the bytes what ``take`` gets.
+    ``tell`` receives the suspected sender. ``spoilt`` returns whether a message was damaged in
+    transit. ``read`` converts the bytes to the argument of ``take``.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Ear:
         self._kind, self._topic, profile, self._about = heard
         self._place = place_of(node, self._topic)
         self._senders: dict[str, KnownSender] = {}
-        self.ignored: Counter[str] = Counter()  #: Messages, by who may have sent them.
+        self.ignored: Counter[str] = Counter()  #: Number of ignored messages, by suspected sender.
         self.subscription = node.create_subscription(
             self._kind, self._topic, self._hear, profile, raw=True
         )

@@ -1,4 +1,4 @@
-"""Both ends of a stream as a ROS topic: checksum, window, checks, refusals, repetition."""
+"""Both ends of a stream as a ROS topic: checksum, window, checks, refusals, resending."""
 
 import math
 import time
@@ -26,20 +26,20 @@ CHECKSUM = 4  #: Bytes of a checksum.
 
 
 def sealed(message: Any) -> bytes:
-    """Serialise a message whose last field is a checksum of all before it."""
+    """Serialise a message; its last field becomes a checksum of the preceding bytes."""
     message.checksum = 0
     data = serialize_message(message)
     return bytes(data[:-CHECKSUM]) + zlib.crc32(data[:-CHECKSUM]).to_bytes(CHECKSUM, 'little')
 
 
 def is_spoilt(data: bytes) -> bool:
-    """Return whether a serialised message has a checksum that is not that of its content."""
+    """Return whether the checksum of a serialised message does not match its content."""
     given = int.from_bytes(data[-CHECKSUM:], 'little')
     return given != 0 and given != zlib.crc32(data[:-CHECKSUM])
 
 
 def opened(data: bytes, kind: Any) -> Any:
-    """Read a message and compare its checksum, if given; StreamError if it was spoilt."""
+    """Read a message and compare its checksum, if given; StreamError if it was damaged."""
     if hasattr(kind, 'checksum') and is_spoilt(data):
         text = 'a message was spoilt on its way (checksum); it is sent again'
         raise StreamError(text, Refusal.SPOILT)
@@ -51,9 +51,10 @@ def opened(data: bytes, kind: Any) -> Any:
 
 
 HEARTBEAT = 0.1  #: Time between acknowledgements when nothing happens [s].
-SILENT = 1.0  #: A receiver that was not heard for so long is silent [s].
-STATUS_PERIOD = 0.01  #: Shortest time between two of them [s].
-REFUSALS = frozenset(Refusal)  #: What a receiver may say; only another node says something else.
+SILENT = 1.0  #: A receiver counts as silent after this time without a message [s].
+STATUS_PERIOD = 0.01  #: Shortest time between two acknowledgements [s].
+#: Refusals that a receiver may send; others come from foreign nodes.
+REFUSALS = frozenset(Refusal)
 
 
 def hear_statuses(
@@ -63,7 +64,7 @@ def hear_statuses(
     diagnostics: Diagnostics | None = None,
     tell: Callable[[str], object] = str,
 ) -> Ear:
-    """Pass on what the receiver of a stream says, or each receiver; no other words."""
+    """Pass on the valid statuses of the receiver of a stream, or of each receiver."""
 
     def see(status: StreamStatus) -> None:
         if status.stream == (stream or status.stream) and status.refusal_kind in REFUSALS:
@@ -213,7 +214,7 @@ class Inlet:
         self._on_refusal()
 
     def _name(self, level: bytes, kind: Refusal, reason: str, always: bool = False) -> None:
-        """Put a refusal into the diagnostics: of each kind the 1st, 2nd, 4th ..., of runs all."""
+        """Report a refusal in the diagnostics: the 1st, 2nd, 4th ... of each kind; all of runs."""
         self._refused[kind] += 1
         if always or self._refused[kind].bit_count() == 1:
             self._named = level, reason
@@ -288,7 +289,7 @@ class Outlet:
 
     @property
     def unheard(self) -> float:
-        """How long the receiver has spoken without acknowledging what it would take [s]."""
+        """Time for which the receiver has reported without acknowledging acceptable items [s]."""
         now, peer = time.monotonic(), self.peer
         closed = peer is not None and peer.window_limit <= peer.next_sequence
         closed = closed and run_id_of(peer) == self.sender.run_id
@@ -296,7 +297,7 @@ class Outlet:
         return now - max(self._speaks_since, self.sender.unanswered_since) if speaks else 0.0
 
     def join(self, run_id: RunId, first: int) -> None:
-        """Send a plan that joins the one before, from a number on; that one can be taken back."""
+        """Send a plan that joins the current one from a number on; the join can be taken back."""
         self._before, self.sender = self.sender, WindowedSender(self.sender.resend_after)
         self.sender.begin(run_id, first, self._before.limit)
 

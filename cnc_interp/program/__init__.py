@@ -1,4 +1,4 @@
-"""text -> Block: part programs in the usual dialects of G-code and as CL data."""
+"""Read part programs in the usual dialects of G-code, and as CL data, into blocks."""
 
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.job import JobSetup, Tool

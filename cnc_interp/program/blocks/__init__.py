@@ -1,4 +1,4 @@
-"""From rows of targets to blocks, with what the program switches and the modal state of each."""
+"""From rows of targets to blocks, with the functions of the program and their modal states."""
 
 from cnc_interp.program.blocks.block_table import (
     AXES_LINEAR,

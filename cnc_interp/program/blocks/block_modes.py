@@ -13,8 +13,8 @@ import numpy as np
 from cnc_interp.core import MINUTE, FloatArray
 from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 
-NONE = -1.0  #: In place of a motion code, a feed or a state: there is none.
-#: More states, or more changes of state, motion code and feed, are not kept.
+NONE = -1.0  #: Value for a missing motion code, feed or state.
+#: Largest number of states, and of changes of state, motion code and feed, that are kept.
 MOST_STATES, MOST_CHANGES = 10_000, 1_000_000
 
 
@@ -25,9 +25,9 @@ class ActiveModes:
     contour_tolerance: float
     orientation_tolerance: float
     spindle_speed: float = 0.0  #: Programmed spindle speed [rev/min].
-    tool: int = 0  #: Number of the active tool; 0 where none is chosen.
-    feedrate: float = nan  #: Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
-    duration: float = nan  #: Duration of a block with G93 [s]; NaN where none is set.
+    tool: int = 0  #: Number of the active tool; 0 if none is chosen.
+    feedrate: float = nan  #: Feedrate [m/s], with G95 [m/rev]; NaN if none is set.
+    duration: float = nan  #: Duration of a block with G93 [s]; NaN if none is set.
     frame: ProgramCoordinates = field(default_factory=ProgramCoordinates)
 
     def moving(self, motion: float, feed: float) -> ActiveModes:
@@ -47,7 +47,7 @@ class ModesOfBlocks:
         self._last = np.full(3, nan)
 
     def number(self, key: Hashable, state: Callable[[], ActiveModes]) -> float:
-        """Return the number of the state with this key; ``state`` makes it where it is new."""
+        """Return the number of the state with this key; ``state`` creates it if it is new."""
         found = self._numbers.get(key)
         if found is None:
             if len(self._states) >= MOST_STATES:
@@ -70,7 +70,7 @@ class ModesOfBlocks:
         self._changes.frombytes(np.ascontiguousarray(states[rows]).tobytes())
 
     def change_before(self, block: int) -> int:
-        """Return the number of the change with which a block begins or before it; -1 for none."""
+        """Return the number of the last change at or before a block; -1 if there is none."""
         return bisect_right(self._blocks, block) - 1
 
     def after(self, change: int) -> ActiveModes | None:

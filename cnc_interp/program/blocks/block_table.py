@@ -11,8 +11,8 @@ from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.tables import Table, column
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
-#: Values of ``Blocks.corner``: whether a stop is faster is tried, or known; or the block is a
-#: piece of a longer motion that goes on smoothly, such as an arc.
+#: Values of ``Blocks.corner``: rounding and stopping are both tried; the faster one is known; or
+#: the block is a piece of a longer motion that continues smoothly, such as an arc.
 OPEN_CORNER, ROUND_CORNER, STOP_CORNER, WITHIN_MOTION = 0, 1, 2, 3
 #: Values of ``Blocks.interpolation``: what runs linearly in a block.
 POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
@@ -21,11 +21,11 @@ POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
 class Blocks(Table):
     """The blocks of a part program in order; row 0 is the start pose.
 
-    A linear row of POSES is a straight line of the tip with the great circle of the tool axis
-    [B2013, Eq. 4]; of ROTARY_LINEAR, a line with rotary axes linear from ``rotary_from``; of
-    AXES_LINEAR, all machine axes are linear. Consecutive spline rows are the control points of a
-    pair of cubic B-splines [B2013, section 4.1], the first one at the pose before, up to a linear
-    row or an exact stop.
+    On a linear row of kind POSES the tip moves straight while the tool axis follows a great circle
+    [B2013, Eq. 4]. With ROTARY_LINEAR the tip moves straight while the rotary axes run linearly
+    from ``rotary_from``. With AXES_LINEAR all machine axes run linearly. Consecutive spline rows,
+    up to a linear row or an exact stop, are the control points of a pair of cubic B-splines
+    [B2013, section 4.1]; the first one is at the preceding pose.
     """
 
     #: Tool tip ``p_WT`` in W at the end of the block, or control point of a spline row [m].
@@ -49,23 +49,23 @@ class Blocks(Table):
     #: On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots [-]; 0 in the
     #: first row, in the last two rows and for a repeated knot. NaN on linear rows.
     knot_interval: FloatArray = column(default=nan)
-    #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits at its exact stop. Otherwise GO_ON.
+    #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits at its exact stop; otherwise GO_ON.
     program_stop: IntArray = column(default=GO_ON)
     #: Positions of the k extra axes (U V W) at the end of the block [m], linear with the tip.
     extra: FloatArray = column('k', default=0.0)
     interpolation: IntArray = column(default=POSES)  #: POSES, ROTARY_LINEAR or AXES_LINEAR.
     #: Rotary positions at the start of rows whose rotary axes run linearly [rad], else NaN.
     rotary_from: FloatArray = column(2, default=nan)
-    #: ROUND_CORNER or STOP_CORNER if it is known which is faster at the end of the block, where
-    #: the path is not smooth and need not rest; WITHIN_MOTION where the motion goes on smoothly.
-    #: Otherwise OPEN_CORNER.
+    #: ROUND_CORNER or STOP_CORNER if the faster one is known for a corner at the end of the block
+    #: without an exact stop. WITHIN_MOTION if the motion continues smoothly. Otherwise
+    #: OPEN_CORNER.
     corner: IntArray = column(default=OPEN_CORNER)
 
     @staticmethod
     def of_poses(
         tip: FloatArray, axis: FloatArray, feedrate: float, tolerance: float = 0.02 * MM
     ) -> Blocks:
-        """Make linear blocks of tips and tool axes in W, (N, 3) [m, -], the start pose first."""
+        """Return linear blocks through tips and tool axes in W, (N, 3), the start pose first."""
         n = len(tip)
         length = np.linalg.norm(axis, axis=-1)
         if not (np.isfinite(tip).all() and (np.abs(length - 1.0) < 1e-6).all()):

@@ -1,4 +1,4 @@
-"""What a program switches: outputs of the machine, each at the begin of a block."""
+"""The functions of a program: outputs of the machine, each set at the begin of a block."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cnc_interp.core.tables import Table, column
 from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, Signals
 
-STOP_SPINDLE = ('M5', 'M6', 'M2', 'M30')  #: Words after which it rests.
+STOP_SPINDLE = ('M5', 'M6', 'M2', 'M30')  #: Words after which the spindle rests.
 TAP = 2  #: Rows of a tap in step with the spindle: into the hole, and back.
 Acting = tuple[int, float]  #: A step of a function, and the value of its output.
 
@@ -37,12 +37,12 @@ def acting(
 
 
 class Functions(Table):
-    #: Row of the block at whose begin it acts; the number of rows: at the end of the program.
+    #: Row of the block at whose begin it acts; the number of rows means the end of the program.
     block: IntArray = column()
     line_number: IntArray = column()  #: Line of the program text.
     step: IntArray = column()  #: Number in ``Signals.steps`` of the machine.
-    value: FloatArray = column()  #: What the output is set to.
-    #: Whether it acts before the program stop (M0, M1) that is there, too. Otherwise after it.
+    value: FloatArray = column()  #: Value to which the output is set.
+    #: Whether it acts before, instead of after, a program stop (M0, M1) at the same block.
     before_stop: BoolArray = column(default=False)
 
     @staticmethod
@@ -52,7 +52,7 @@ class Functions(Table):
         return Functions(*(c.astype(kind) for c, kind in zip(columns, kinds, strict=True)))
 
     def until(self, block: int) -> int:
-        """Return how many of them act at the begin of a block or before it."""
+        """Return the number of functions that act up to the begin of a block."""
         return int(np.searchsorted(self.block, block, side='right'))
 
     def counts(self, signals: Signals) -> dict[str, int]:
@@ -64,7 +64,7 @@ class Functions(Table):
         return np.unique(self.block[waiting[self.step]]) if len(self) else self.block
 
     def standstill(self, signals: Signals, times: Standstill) -> FloatArray:
-        """Return for how long the path rests for each of them, (n,) [s]."""
+        """Return the time that the path rests for each function, (n,) [s]."""
         first = {words.start: word for word, words in signals.words.items()}
         rests, wanted, turning, follows = np.zeros(len(self)), 0.0, 0.0, 0
         for k, (step, value) in enumerate(zip(self.step.tolist(), self.value, strict=True)):
@@ -92,7 +92,7 @@ class Functions(Table):
         return found
 
     def from_row(self, row: int, signals: Signals) -> Functions:
-        """Return the functions of a run from a row on; what still counts acts before it."""
+        """Return the functions of a run from a row on; earlier ones still in effect act first."""
         after = self.until(row)
         starts = {words.start for words in signals.words.values()}
         threads = [k for word in (FOLLOWS, FREE) for k in signals.words.get(word, ())]

@@ -1,4 +1,4 @@
-"""Motions between rows of targets: what runs linearly on each of them, and their poses inside."""
+"""Motions between rows of targets: the coordinates that run linearly, and poses in between."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ from cnc_interp.settings.options import Settings
 SAME = 1e-12  # [m], [-], [rad]
 #: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
 CHORD_SHARE = 0.1
-#: Within so many orientation tolerances a path could pass the pole on its other side.
+#: Distance from the pole, in orientation tolerances, within which a path could pass its other
+#: side.
 POLE_TOLERANCES = 4.0
-#: Without tool-tip programming, lines in axes become curves of poses after so many short blocks in
-#: a row. In each of them the tip moves more than this share of the turn at flank height [-].
+#: Without tool-tip programming, lines in axes become curves of poses after this many short blocks
+#: in a row, in each of which the tip moves more than this share of the turn at flank height [-].
 FEWEST_DENSE, SLOW_TIP = 32, 0.05
-BESIDE_ARC = 8  #: A short line has the tolerance of an arc that is at most so many motions away.
+BESIDE_ARC = 8  #: A short line has the tolerance of an arc at most this many motions away.
 
-FARTHEST = 1000  #: At most so many motions before one near the pole are joined with it.
+FARTHEST = 1000  #: Largest number of motions joined with a later one near the pole.
 
 
 class Preceding(NamedTuple):
-    """What counts of the motions before the first one."""
+    """Relevant properties of the motions before the first one."""
 
-    dense: int = 0  #: Number of dense motions at the end of them, as far as it counts.
+    dense: int = 0  #: Number of dense motions at their end, as far as relevant.
     led: bool = False  #: Whether words rule the rotary axes in the last one.
-    since_arc: int = BESIDE_ARC  #: Motions since an arc, as far as they count.
+    since_arc: int = BESIDE_ARC  #: Number of motions since an arc, as far as relevant.
 
 
 NOTHING_BEFORE = Preceding()
@@ -84,7 +85,7 @@ class Moves:
 
     @property
     def preceding(self) -> Preceding:
-        """Return the state that these motions leave for those after them."""
+        """Return the properties of these motions that are relevant for later ones."""
         return Preceding(self.dense, self.led, self.since_arc)
 
     def __getitem__(self, part: slice) -> Moves:
@@ -140,7 +141,7 @@ class Moves:
     def _ruled_by_words(self, words: IntArray, drifts: BoolArray, settings: Settings) -> BoolArray:
         """Return in which motions the rotary axes run linearly to their words, shape (n,).
 
-        Those near the pole do, what a corner may join with them, and the ``drifts``.
+        These are motions near the pole, motions that a corner may join with them, and ``drifts``.
         """
         near = np.zeros(len(self.rows), dtype=np.bool_)
         near[words] = self._near_pole(words, settings.flank_height)
@@ -176,7 +177,7 @@ class Moves:
         return np.asarray(fits)
 
     def pieces(self, row: IntArray, turned: FloatArray, poses: Poses, height: float) -> IntArray:
-        """Return in how many pieces, (m,), motions that turn so far are near their chords."""
+        """Return the number of pieces, (m,), in which turning motions are near their chords."""
         tip, top = CHORD_SHARE * self.rows[row][:, [col.CONTOUR, col.ORIENTATION]].T
         return piece_counts(lambda block, u: poses(row[block], u), turned, tip, top, height)
 
@@ -238,7 +239,7 @@ class Moves:
         return axis
 
     def _line_ends(self, row: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return start, end and centre of what moves on a line or arc, (m, 3) each [m]."""
+        """Return start, end and centre of the moving point on a line or arc, (m, 3) each [m]."""
         end, length = self.rows[row], (self._length * self._turns_length)[row, None]
         before = length * self.axis_before[row]
         last = end[:, col.POINT] - length * end[:, col.AXIS]
@@ -268,7 +269,7 @@ class Moves:
         return tip, axis
 
     def curved(self) -> BoolArray:
-        """Return which motions must be divided: what they interpolate is no line, shape (n,)."""
+        """Return which motions are curved and must be divided into lines, shape (n,)."""
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & (self.rows[:, col.GREAT_CIRCLE] == 0.0)
         # A rotation with the tip at rest stays whole, because only the rotary axes move.
         turns &= (self.interpolation == POSES) & self._travels()
@@ -289,10 +290,10 @@ class Moves:
         return np.asarray(self._arc | near)
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
-        """Return feedrate [m/s] and duration [s] of the motions, (n,); one of both is NaN.
+        """Return feedrate [m/s] and duration [s] of the motions, (n,); one of the two is NaN.
 
-        With axis positions F is the speed of X Y Z or of extra axes, or else of the rotary axes;
-        or of all of them (``COMBINED``).
+        For axis positions, F is the speed of X Y Z, else of extra axes, else of the rotary axes.
+        With ``COMBINED`` it is the speed of all axes.
         """
         feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
         turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)

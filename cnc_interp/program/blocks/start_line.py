@@ -10,18 +10,19 @@ from cnc_interp.core import FloatArray, ProgramError
 
 @dataclass(frozen=True)
 class StartBlock:
-    line: int  #: The line that was asked for.
+    line: int  #: Requested line.
     row: int  #: Row of ``Blocks`` with the first motion from there on.
-    #: How often the program executes the line, and the execution that was asked for, from 1.
+    #: Number of executions of the line, and the requested execution, from 1.
     passes: int
     which: int
-    words: tuple[str, ...]  #: State of the program there, as words that would set it.
+    words: tuple[str, ...]  #: Modal state there, as the words that set it.
 
 
 class StartLine:
     """Counts how often the line is reached, and notes the row with the first motion of each pass.
 
-    ``line``: 0 at the top; ``which``: execution of it, 0: the only one; ``row``: if known before.
+    ``line``: 0 for the top; ``which``: its execution, 0 for the only one; ``row``: if already
+    known.
     """
 
     def __init__(self, line: int, which: int, source: str, row: int | None = None):
@@ -33,7 +34,7 @@ class StartLine:
         self._rows = 0  # that were seen
 
     def reach(self, words: Callable[[], tuple[str, ...]]) -> None:
-        """Count an execution of the line that is about to begin; ``words`` tells the state."""
+        """Count an execution of the line that is about to begin; ``words`` returns the state."""
         self.passes += 1
         if self.passes == self._which:
             self._words = words()
@@ -45,7 +46,7 @@ class StartLine:
 
     @property
     def row(self) -> int | None:
-        """Row with the first motion of the start; None before it is read. At least 1."""
+        """Row with the first motion of the start, at least 1; None until it is read."""
         return None if self._row is None else max(self._row, 1)
 
     def found(self) -> StartBlock:

@@ -38,8 +38,8 @@ from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
 HOUR, LONGEST = 3600.0, 100.0 * 3600.0  #: A program that takes longer is refused [s].
-MOST_CHANGES = 1000  #: More changes of the setup than this are not kept one by one.
-#: How the program waits, by EXACT_STOP of a target.
+MOST_CHANGES = 1000  #: Largest number of changes of the setup that are kept individually.
+#: Kind of program stop for each EXACT_STOP of a target.
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
 _ANTIPARALLEL = 1e-4  # [rad]
 _MOST_TURN = 500.0 * 360.0 * DEG
@@ -49,7 +49,7 @@ _LONGEST_TURN = 8.0 * 360.0 * DEG
 
 @dataclass(frozen=True)
 class ProgramChange:
-    change: SetupChange  #: What changes.
+    change: SetupChange  #: The change.
     line_number: int  #: Line of the program.
     #: Row of the blocks before which it happens; the number of rows after the last one.
     block: int
@@ -66,7 +66,7 @@ class TargetColumns:
         self._coming: deque[tuple[int, SetupChange | tuple[int, float], int]] = deque()
         self._at_last = 0  # changes before the last target
         self._stops: deque[tuple[int, int]] = deque()  # changes between target and program stop
-        #: Those of which the place is known; of very many changes, only what still counts.
+        #: Changes whose place is known; if there are very many, only those still in effect.
         self.changes: list[ProgramChange] = []
         self.functions = array('d')
         self._emitted = 0  # rows of the blocks so far
@@ -119,7 +119,7 @@ class TargetColumns:
         return any(not isinstance(change, SetupChange) for _, change, _ in self._coming)
 
     def extend(self, rows: FloatArray) -> None:
-        """Add many targets, (n, WIDTH); passes, changes and state are filled in here."""
+        """Add many targets, (n, WIDTH); their passes, changes and states are filled in."""
         if len(self._rows) >= self._full:
             self._convert(last=False)
         rows[:, col.PASSES] = self.start.passes
@@ -215,7 +215,7 @@ class TargetColumns:
         self._parts.append(blocks)
 
     def _demand_an_end(self, blocks: Blocks) -> None:
-        """Refuse a program of days, by its slowest line: its feed has another unit, or a typo."""
+        """Refuse a program that would take days; its slowest line has a wrong feed."""
         step = np.diff(
             blocks.tip, axis=0, prepend=blocks.tip[:1] if self._tip is None else self._tip
         )

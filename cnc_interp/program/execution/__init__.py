@@ -1,1 +1,1 @@
-"""What the words of a block do, in the order in which a control acts on them."""
+"""Execution of the words of a block, in the order in which a control acts on them."""

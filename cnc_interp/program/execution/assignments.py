@@ -75,7 +75,7 @@ def _set_name(at: Execution, name: str, value: float, others: bool) -> None:
 
 
 def _set_by_macro(at: Execution, number: int, value: float, words: BlockWords) -> bool:
-    """Execute the assignment to a variable of the control; False if it is one of the program."""
+    """Execute an assignment to a variable of the control; False for a variable of the program."""
     if at.mover.dialect is not FANUC or not 1000 <= number < 10_000:
         return False
     if number == ALARM:

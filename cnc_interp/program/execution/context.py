@@ -1,4 +1,4 @@
-"""What the words of a program act on: motion, planes, cycles, tools, outputs and its flow."""
+"""The objects on which words act: motion, planes, cycles, tools, outputs and program flow."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cnc_interp.program.text.flow import Flow
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
-#: What M70 saves: modal values, and outputs.
+#: State saved by M70: modal values, and outputs.
 State = tuple[dict[str, object], dict[str, str]]
 
 
@@ -69,8 +69,8 @@ class Execution:
         self.set_here: dict[str, str] = {}  # by modal value, the code of this block
         self.whole = True  # whether more lines can follow, so that it can look ahead
         self.finished = False  # whether M2 or M30 was read
-        #: Whether a machine executes it while it is read: it is read on after each probe, and
-        #: the lengths of its tools must be known.
+        #: Whether a machine executes the program while it is read. Reading then continues after
+        #: each probe, and tool lengths must be known.
         self.is_live = False
         self.probe: Probe | None = None  # that is waited for
 

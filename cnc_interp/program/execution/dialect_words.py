@@ -1,4 +1,4 @@
-"""What each word does in every dialect, and when: a row for each code and each word of letters."""
+"""The table of all words: what each does in every dialect, and in which phase."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from cnc_interp.program.text.words import BlockWords
 
 
 class Phase(Enum):
-    """When a word acts; within a phase in the order of the block."""
+    """Phase in which a word acts; within a phase, words act in the order of the block."""
 
     SET = 1  #: First: keys, then G codes, then M codes.
-    AXES = 2  #: Takes the axis words of its block, which has one such word at most.
-    MOVE = 3  #: Read by the motion of the block.
+    AXES = 2  #: Takes the axis words of its block; at most one such word per block.
+    MOVE = 3  #: Used by the motion of the block.
     END = 4  #: After the motion.
 
 
@@ -33,10 +33,10 @@ class Phase(Enum):
 class Word:
     act: Callable[[Execution, str, BlockWords], None]
     phase: Phase = Phase.SET
-    #: Whether it may stand between G41 or G42 and G40, and in polar coordinates (G16).
+    #: Whether it is allowed between G41 or G42 and G40, and in polar coordinates (G16).
     beside_contour: bool = True
     in_polar: bool = True
-    takes_f: bool = False  #: Whether its F is no feed.
+    takes_f: bool = False  #: Whether its F has another meaning than feed.
 
 
 def _each(words: Iterable[str], act: Callable[..., None], **given: Any) -> dict[str, Word]:
@@ -94,7 +94,7 @@ M: dict[str, Word] = {
     **{code: Word(setting.nothing, Phase.END) for code in codes.ACTING_M},
 }
 
-#: Words of several letters; cycles of Siemens are taken out before (``motion/cycles.py``).
+#: Words of several letters; Siemens cycles are handled earlier (``motion/cycles.py``).
 KEYS: dict[str, Word] = {
     **_each(codes.HARMLESS_KEYS, setting.idle_key),
     **_each(MODES['great_circle'].codes, setting.choose_interpolation),

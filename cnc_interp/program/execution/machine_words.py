@@ -35,7 +35,7 @@ def choose_tool(at: Execution, words: BlockWords) -> None:
 
 
 def set_speed(at: Execution, words: BlockWords) -> None:
-    """Take S, a speed of the surface with G96, whose D is the largest speed."""
+    """Take S; with G96 it is a surface speed, and D the largest spindle speed."""
     mover, speed, by_surface = at.mover, words.values.get('S'), at.by_surface
     if 'G96' in words.g and by_surface:
         mover.surface_limit = abs(words.values.pop('D', 0.0))
@@ -119,7 +119,7 @@ def numbered_function(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def save_or_restore(at: Execution, code: str, _: BlockWords) -> None:
-    """Process M70 to M73: save the state, forget it, restore it; M73 does so at return."""
+    """Process M70 to M73: save, discard or restore the state; M73 restores at return."""
     flow, mover = at.flow, at.mover
     if code == 'M72':
         if flow.saved_state is None:

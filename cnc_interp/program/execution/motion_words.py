@@ -19,7 +19,7 @@ from cnc_interp.program.text.words import BlockWords
 
 
 def dwell(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G4, whose time the letters P, X, F, U or (in turns) S give."""
+    """Process G4; its time is given by the letters P, X, F, U, or S (in revolutions)."""
     given = at.times
     at.mover.end_corner()
     moves = not words.values.keys().isdisjoint(at.mover.frames.letters)
@@ -43,7 +43,7 @@ def tilt(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def thread(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G33, G33.1 which comes back, and G32 of Fanuc: K or F is the way per turn."""
+    """Process G33, G33.1 (which returns) and Fanuc's G32; K or F is the way per turn."""
     mover, letter = at.mover, 'F' if code == 'G32' else 'K'
     at.refuse_if(
         code == 'G32' and mover.dialect not in (FANUC, PLAIN),
@@ -95,7 +95,7 @@ def probe(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def spline(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G5 and G5.1: splines of LinuxCNC, or switches of a look-ahead."""
+    """Process G5 and G5.1, which are splines of LinuxCNC or look-ahead switches."""
     mover = at.mover
     if not codes.SPLINE_LETTERS & words.values.keys() or mover.dialect in (FANUC, SIEMENS):
         look_ahead(at, code, words)

@@ -1,6 +1,6 @@
 """Words that mirror and scale: G51, G51.1, G50, G50.1 of Fanuc; MIRROR and SCALE of Siemens.
 
-Arcs and the side of G41 turn round where one axis of their plane is mirrored; tool lengths and
+If one axis of their plane is mirrored, arcs and the side of G41 are reversed. Tool lengths and
 radii are not scaled.
 """
 
@@ -10,7 +10,7 @@ from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.text.words import BlockWords
 
 KEYS = ('MIRROR', 'AMIRROR', 'SCALE', 'ASCALE')
-#: From here on a scale without a point counts thousandths; below, controls differ.
+#: A scale without a decimal point from this value on is in thousandths; below, controls differ.
 _THOUSANDTHS = 100.0
 
 
@@ -58,7 +58,7 @@ def _factor(at: Execution, letter: str, words: BlockWords) -> float:
 
 
 def _demand_rest(at: Execution, code: str) -> None:
-    """Refuse what controls mirror and scale in different ways."""
+    """Refuse states that controls mirror and scale in different ways."""
     mover = at.mover
     at.refuse_if(
         mover.tcp or mover.oriented or at.plane.parts,
@@ -71,7 +71,7 @@ def _demand_rest(at: Execution, code: str) -> None:
 
 
 def scale_or_mirror_frame(at: Execution, key: str, words: BlockWords) -> None:
-    """Process MIRROR X0, SCALE X2: about zero, in the frame; A in front keeps the frame so far."""
+    """Process MIRROR and SCALE, about the zero of the frame; AMIRROR and ASCALE keep the frame."""
     mover, frames = at.mover, at.mover.frames
     given = words.take('XYZ')
     _demand_rest(at, key)

@@ -1,4 +1,4 @@
-"""Words that set something: modes, compensation, tolerances, frames, and words without effect."""
+"""Words that set modes, compensation, tolerances and frames, and words without effect."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.words import BlockWords
 from cnc_interp.settings.options import Settings
 
-#: Tolerances that nobody asked for [m].
+#: Default tolerances, which nobody has requested [m].
 USUAL = Settings().contour_tolerance, Settings().orientation_tolerance
 
 
@@ -84,7 +84,7 @@ def begin_polar(at: Execution, code: str, _: BlockWords) -> None:
 
 
 def no_effect(at: Execution, code: str, words: BlockWords) -> None:
-    """Process words that move nothing, and refuse those with letters of another meaning."""
+    """Process words without effect; refuse them if their letters give them another meaning."""
     mover = at.mover
     letters, why = codes.OTHER_MEANING.get(code, ('', ''))
     if found := set(letters) & words.values.keys():
@@ -133,7 +133,7 @@ def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def _contact_normals(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G41.2, G42.2: D, R of the tool; Q, P of the one whose tips X Y Z are."""
+    """Process G41.2, G42.2; D, R: of the tool; Q, P: of the tool whose tips X Y Z are."""
     mover, values, chosen = at.mover, words.values, cutter_of(at, words)
     corner = chosen.corner_radius
     if 'R' in values:
@@ -259,4 +259,4 @@ def idle_key(at: Execution, key: str, _: BlockWords) -> None:
 
 
 def nothing(*_: object) -> None:
-    """Leave a word to a later phase, in which it is read with others."""
+    """Do nothing; a later phase uses the word together with others."""

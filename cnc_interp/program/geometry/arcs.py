@@ -1,7 +1,7 @@
 """Arcs and helices of G2 and G3, for many blocks at once; and rounded or chamfered corners.
 
-With the centre c, the unit normal n, the vector v from there to the start and the distance r from
-the axis, which changes linearly because programs round both radii, the point at u is
+Let c be the centre, n the unit normal, and v the vector from c to the start. The distance r from
+the axis changes linearly, because programs round both radii. The point at u is
 
     p(u) = c + (n . v) n + r(u) / r(0) Rot(n, u sweep) v_across + u rise n
 """
@@ -17,12 +17,12 @@ from cnc_interp.core import INCH, MM, BoolArray, FloatArray, IntArray, ProgramEr
 
 #: Plane to first axis, second axis and normal axis; G2 is clockwise seen against the normal.
 PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
-#: Allowed difference of the radii at start and end: part of the radius [-], and least and most of
-#: it [m], by unit, as LinuxCNC takes it. A chord may be longer than its diameter by the shortage.
+#: Allowed difference of the radii at start and end, as in LinuxCNC: part of the radius [-], and
+#: its lower and upper limit [m], by unit. A chord may exceed its diameter by the same amount.
 RADIUS_SHARE, RADIUS_LEAST = 1e-3, {MM: 0.02 * np.sqrt(2.0) * MM, INCH: 2e-3 * np.sqrt(2.0) * INCH}
 LEAST_TO_MOST = 100.0
 SHORTAGE, SHORTAGE_MOST = 0.0127 * MM, 0.5 * MM
-#: A larger difference is told [m].
+#: A larger difference gives a notice [m].
 TOLD = 0.0127 * MM
 _SAME_POINT = 1e-12
 _FARTHEST_CENTRE = 1e6  #: A centre farther away than this is an error of the program [m].
@@ -49,7 +49,7 @@ FAULTS = {
     8: f'{_OFF}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute',
     9: f'{_OFF}; they fit as the way from the centre to the start: --arc-centres reversed',
 }
-#: Faults that may only follow from a wrong start.
+#: Faults that may be caused by a wrong start point alone.
 OF_PLACE = (3, 4, 5, 6, 8, 9)
 
 
@@ -145,7 +145,7 @@ def lengths(
     return np.asarray(np.hypot(radius * sweep, rise))
 
 
-#: Shorter lines are none [m, rad].
+#: Shorter lines count as zero [m, rad].
 _NOTHING = 1e-9
 Fault = Callable[[str, str], ProgramError]
 
@@ -164,7 +164,7 @@ class Corner:
         frame: FloatArray,
         fault: Fault,
     ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:
-        """Return the ends of the lines and the arc between [m]; None: a modal one has no corner.
+        """Return the ends of the lines and the arc between [m]; None if RNDM meets no corner.
 
         The columns of ``frame`` (3, 3) are both axes of the plane and its normal.
         """

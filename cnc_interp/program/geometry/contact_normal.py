@@ -1,8 +1,9 @@
 """Cutter compensation in space: from contact points and surface normals to the tip of the tool.
 
-With a corner of radius r on a circle of radius R about the tool axis o, and the unit normal n away
-from the part, tip = c + r (n - o) + R unit(n - (n . o) o). It is linear in r and R, so it also
-leads from the tip of one tool to that of another, with the differences of both.
+Let the corner have radius r, its centre lie on a circle of radius R about the tool axis o, and n
+be the unit normal away from the part. Then tip = c + r (n - o) + R unit(n - (n . o) o). This is
+linear in r and R, so with differences of both it also converts the tip of one tool to that of
+another.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import numpy as np
 from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.program.text.words import BlockWords
 
-#: With a smaller sine of the angle to the tool axis a normal counts as parallel. Up to the second
-#: value the side on which the tool touches is not sure.
+#: Below this sine of the angle to the tool axis, a normal counts as parallel. Up to the second
+#: value the side on which the tool touches is uncertain [-].
 PARALLEL, UNSURE = 1e-6, 1e-3
 ROUNDED = 1e-4  #: A normal may point down the tool by this cosine, because programs round.
 FLANK = 1e-3  #: The flank of the tool touches if the cosine of normal and tool axis is less.
 SHORTEST = 1e-9  #: A shorter way between two contact points has no direction [m].
-#: Words of the normal, and a shorter one has no direction [-].
+#: Words of the normal; a shorter normal has no direction [-].
 NORMAL_WORDS, SMALLEST = ('A5', 'B5', 'C5'), 1e-6
 _NO_FIT = 'the cutter does not fit in here; take a smaller tool'
 Fault = Callable[[str], ProgramError]
@@ -36,7 +37,7 @@ class ToolShape:
         return ToolShape(self.radius - other.radius, self.corner_radius - other.corner_radius)
 
     def shift(self, normal: FloatArray, axis: FloatArray) -> FloatArray:
-        """Return the way from the contact point to the tip, (3,) [m], by normal and tool axis."""
+        """Return the vector from contact point to tip, (3,) [m], given normal and tool axis."""
         across = normal - (normal @ axis) * axis
         sine = float(np.linalg.norm(across))
         side = across / sine if sine > PARALLEL else np.zeros(3)
@@ -51,7 +52,7 @@ class ContactPath:
         self._before: tuple[FloatArray, FloatArray, float] | None = None
 
     def take(self, words: BlockWords, turn: FloatArray, fault: Fault) -> None:
-        """Take the normal (I J K, or A5 B5 C5) out of a block; without one the last one counts."""
+        """Take the normal (I J K, or A5 B5 C5) out of a block; by default, keep the last one."""
         named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
         given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
         if not named:
@@ -90,7 +91,7 @@ class ContactPath:
     def _demand_room(
         self, point: FloatArray, normal: FloatArray, cosine: float, cuts: bool, fault: Fault
     ) -> None:
-        """Raise if the surface is hollower than the cutter: its centre or axis runs backwards."""
+        """Raise if the surface is too concave for the cutter: its centre runs backwards."""
         before, self._before = self._before, (point, normal, cosine)
         if before is None or not cuts:
             return

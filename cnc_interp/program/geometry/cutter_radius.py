@@ -4,10 +4,10 @@ Each element is offset by d, positive to the left (G41): a line along its normal
 radius R - d if it runs counter-clockwise, else R + d. At an outer corner the tool rolls about the
 vertex; at an inner one the offsets are cut where they meet. Points in the plane are complex.
 
-The first line leads beside the start of the next element, or beside its own end (LinuxCNC).
+The first line ends beside the start of the next element, or beside its own end (LinuxCNC).
 
-Where the contour meets itself, it closes a loop: that is what it keeps. What runs to the loop and
-away from it is a lead, which nothing keeps from being cut; the tool must not cut into the loop.
+Where the contour meets itself, it closes a loop, and the tool must not cut into that loop.
+Elements that lead to the loop and away from it are leads, which may be cut.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from cnc_interp.core import MM, FloatArray, ProgramError
 from cnc_interp.program.geometry import target_row as col
 
 SMOOTH = 1e-6  #: Two elements meet without a corner if their directions differ by less [rad].
-#: An element that is shorter is none [m]. Rounding of intersections [m].
+#: Shorter elements are left out [m]. Rounding of intersections [m].
 SHORTEST, ROUNDING = 1e-9, 1e-9
-#: A cutter can touch the contour again within so many elements; more are not compared.
+#: Number of elements within which the cutter is checked for touching the contour again.
 COMPARED = 60
-#: So many elements before and after a loop can be leads; how near it closes, and a shorter one is
-#: none [m].
+#: Largest number of leads before and after a loop; largest gap at which a loop closes, and length
+#: of the shortest loop [m].
 LEADS, CLOSED, SHORTEST_LOOP = 4, 0.01 * MM, 0.1 * MM
 #: Offsets that do not meet at a smaller inner turn are joined as they are; at a turn that lacks
 #: less of half a turn the tool goes about the vertex [rad].
@@ -39,7 +39,7 @@ SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _NO_FIT = 'the cutter does not fit in here; take a smaller radius, or round the contour'
 
 
-Told = Callable[[ProgramError], None]  #: Takes what is told instead of refused.
+Told = Callable[[ProgramError], None]  #: Receives faults that give a notice instead of a refusal.
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Element:
         return abs(middles[1] - middles[0]) <= reach
 
     def parted(self, point: complex) -> tuple[Element, Element]:
-        """Return what lies before and after one of its points."""
+        """Return the parts before and after one of its points."""
         first, second = replace(self, end=point), replace(self, start=point)
         if self.is_arc:
             sign = float(np.copysign(1.0, self.sweep))
@@ -254,7 +254,7 @@ class CutterRadius:
         return ready
 
     def _pace(self, element: Element, row: FloatArray) -> None:
-        """Give a row of inverse time (G93) the speed of its contour; corners have it, too."""
+        """Give a row of inverse time (G93) the speed of its contour; corners get it too."""
         rise = float((row[col.POINT] - self._point) @ self._frame[:, 2])
         self._point = row[col.POINT].copy()
         if isfinite(row[col.DURATION]):
@@ -370,7 +370,7 @@ class CutterRadius:
         return made
 
     def _compare(self, element: Element, row: FloatArray) -> None:
-        """Take an element of the contour; unless it is a lead, judge the path so far by it."""
+        """Take an element of the contour; unless it is a lead, check the path against it."""
         number, kept = self._count, element
         self._length += element.length
         is_lead = number - self._met <= LEADS
@@ -418,7 +418,7 @@ class CutterRadius:
     def _judge(
         self, path: Element, part: Element, row: FloatArray, number: int, other: int
     ) -> None:
-        """Raise if a piece of the path is too near to a part; possible leads are judged later."""
+        """Raise if a piece of the path is too near to a part; possible leads are checked later."""
         if not path.is_near(part, abs(self._distance)):
             return
         apart = min(

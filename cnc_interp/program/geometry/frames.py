@@ -3,7 +3,7 @@
     point = work + Rz @ (programmed_turn @ scaled + shift + G52 + G92) + tool length
     scaled = factor * program + moved, of mirroring (factor -1) and scaling
 
-With tool-tip programming on, a point is the tip in W; with it off, X Y Z less the workpiece zero.
+With tool-tip programming, a point is the tip in W; without it, X Y Z minus the workpiece zero.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Frames:
     def __init__(self, setup: JobSetup, zero: Vector, rotary_letters: tuple[str, ...]):
         self._zero = np.concatenate([zero, np.zeros(2)])
         self.letters = ('X', 'Y', 'Z', *rotary_letters)
-        self.named = ''  #: The work offset that the program has named last; empty before.
+        self.named = ''  #: Work offset last named by the program; empty before.
         self.local = np.zeros(5)
         self.length = 0.0
         self.names_length = False  #: Whether a word has named or cancelled the tool length.
@@ -74,7 +74,7 @@ class Frames:
         return SetupChange('work_offsets', position, name)
 
     def origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
-        """Return the machine coordinates of a zero where the words are what is read here."""
+        """Return the machine coordinates of the zero at which the present place reads as words."""
         turn = rotation(2, self._setup.rotation(name))
         added, zero = self.local + self.g92, self.work(name)
         gone = here - np.array([*(self.length * self.along), 0.0, 0.0])
@@ -113,7 +113,7 @@ class Frames:
             'G51': bool(np.any(self.scale != 1.0)),
         }
         scaled = self.factor.tobytes(), self._moved.tobytes()
-        #: Changes whenever other coordinates count.
+        #: Changes whenever other coordinates take effect.
         self.counts = (
             added.tobytes(),
             self.turn.tobytes(),
@@ -125,7 +125,7 @@ class Frames:
         self.shifts = tuple(code for code, counts in found.items() if counts)
 
     def coordinates(self, offset: str, of_tip: bool, rotary: int) -> ProgramCoordinates:
-        """Return the coordinates that count, with as many rotary axes."""
+        """Return the coordinates in effect, for a number of rotary axes."""
         if self.scales:
             return ProgramCoordinates()  # they do not count mirrored or scaled axes
         name = ' + '.join((offset, *self.shifts)) + (', tool tip' if of_tip else '')
@@ -146,7 +146,7 @@ class Frames:
         return np.asarray((scaled - self._moved) / self.factor)
 
     def plane(self, a: int, b: int) -> FloatArray:
-        """Return where two axes of the program point, and what is left of both, (3, 3)."""
+        """Return the directions of two program axes, and of their normal, (3, 3)."""
         first, second = (self.turn[:, i] * np.sign(self.factor[i]) for i in (a, b))
         return np.stack([first, second, np.cross(first, second)], axis=1)
 

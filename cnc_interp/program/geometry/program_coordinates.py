@@ -1,12 +1,12 @@
-"""The coordinates of the program: the one system in which places are shown to people.
+"""Program coordinates: the one system in which places are shown to people.
 
-They are what X Y Z A C would be written in the next line, or are written in the line that is
-executed, for the axes to stand where they stand, with everything that counts there:
+They are the values of X Y Z A C that the next line (or the executed line) would need for the axes
+to be at their present positions, with all offsets in effect there:
 
     program = turn^T (point - origin - length * along)
 
-With tool-tip programming, ``point`` is the tool tip in the workpiece and ``along`` the tool axis;
-without it, they are the machine coordinates X Y Z less the workpiece zero, and Z.
+With tool-tip programming, ``point`` is the tool tip in the workpiece and ``along`` the tool axis.
+Without it, ``point`` is X Y Z in machine coordinates minus the workpiece zero, and ``along`` is Z.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from cnc_interp.core import FloatArray
 
 @dataclass(frozen=True)
 class ProgramCoordinates:
-    coordinates: str = ''  #: What counts in them, as ``G54 + G92 + TRANS``; empty if not known.
+    coordinates: str = ''  #: Offsets in effect, as ``G54 + G92 + TRANS``; empty if unknown.
     of_tip: bool = False  #: Whether X Y Z are those of the tool tip.
     #: Zero of X Y Z, and of the rotary axes of the machine [m, rad].
     origin: tuple[float, ...] = ()
     turn: tuple[float, ...] = ()  #: Rotation from the coordinates to points, row by row.
-    length: float = 0.0  #: Tool length that counts [m].
+    length: float = 0.0  #: Tool length in effect [m].
 
     def of_place(
         self, positions: FloatArray, tip: FloatArray, axis: FloatArray, zero: FloatArray
@@ -57,7 +57,7 @@ class ProgramCoordinates:
         return found
 
     def change_of_zero(self, change: Mapping[int, float]) -> FloatArray:
-        """Return how far a work offset moves for coordinates to read so much less [m, rad]."""
+        """Return the change of a work offset that reduces coordinates by some amounts [m, rad]."""
         less = np.zeros(max(3, len(self.origin)))
         for index, value in change.items():
             less[index] = value

@@ -1,6 +1,6 @@
 """Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
 
-The deviation of a piece falls with the square of its length, so a trial tells how many it takes.
+The deviation of a piece falls with the square of its length, so one trial gives their number.
 """
 
 from collections.abc import Callable
@@ -45,7 +45,7 @@ def piece_counts(
     allowed_top: FloatArray,
     height: float,
 ) -> IntArray:
-    """Return how many equal pieces, (n,), keep curved motion near chords and great circles.
+    """Return the number of equal pieces, (n,), that keep motion near chords and great circles.
 
     ``poses``: from block indices and parameters in [0, 1], (m,), to tips [m] and tool axes;
     ``turned`` (n,): turn of the rotary axes or of the arc [rad]; ``allowed_tip``, ``allowed_top``

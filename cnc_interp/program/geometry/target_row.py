@@ -2,16 +2,16 @@
 
 from math import nan
 
-#: Tool tip, or axis positions minus those of the workpiece zero [m]; tool axis [-], NaN where the
-#: rotary words give it; rotary positions [rad].
+#: Tool tip, or axis positions minus those of the workpiece zero [m]; tool axis [-], NaN if rotary
+#: words give it; rotary positions [rad].
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
-#: Whether words have named rotary axes; whether the axis turns on the great circle, else linearly.
+#: Whether words have named rotary axes; whether the axis turns on a great circle, or linearly.
 NAMED, GREAT_CIRCLE = 8, 9
-FEEDRATE, DURATION = 10, 11  #: [m/s], [s]; one of both counts.
+FEEDRATE, DURATION = 10, 11  #: [m/s], [s]; one of them is used.
 RAPID, EXACT_STOP = 12, 13  #: Whether it is a rapid; 1 for an exact stop, or ``AT_M1``, ``AT_M0``.
 CONTOUR, ORIENTATION, LINE = 14, 15, 16  #: Tolerances [m], and the line of the main program.
-#: Whether POINT is axis positions, ``COMBINED`` where F is the speed of all axes, with degrees as
-#: millimetres; feedrate of rotary axes [rad/s].
+#: Whether POINT is axis positions, or ``COMBINED`` if F is the speed of all axes with degrees
+#: taken as millimetres; feedrate of rotary axes [rad/s].
 AXES, TURN_RATE, COMBINED = 17, 18, 2.0
 #: Centre [m], normal [-] and sweep [rad] of an arc, NaN without; positions of U V W [m].
 CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
@@ -19,11 +19,11 @@ CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
 PASSES = 29
 #: How many changes of the setup, and functions, come before it; ``TargetColumns`` counts.
 CHANGES = 30
-#: Its modal state, motion code and feed, as ``ModesOfBlocks.see`` takes them.
+#: Modal state, motion code and feed, in the form of ``ModesOfBlocks.see``.
 MODES, MOTION, FEED = slice(31, 34), 32, 33
 #: Tool length that turns with the tool, from the programmed tip to POINT [m].
 LENGTH, WIDTH = 34, 35
-#: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.
+#: Values of EXACT_STOP for M1 and M0. If several stops meet, the largest value is used.
 AT_M1, AT_M0 = 2.0, 3.0
 NO_ARC = (nan,) * 7  #: The columns CENTRE, NORMAL and SWEEP of a line that is not an arc.
 EXTRA_LETTERS = 'UVW'  #: Letters of the columns EXTRA.

@@ -1,4 +1,4 @@
-"""The classical iso-scallop path: constant angles, each pass from the scallop of the one before.
+"""The classical iso-scallop path: constant angles; each pass follows the scallop of the last one.
 
 [TL2008, 1]. The guided point moves over the guiding surface until the mill leaves the same scallop
 point with the same tangent. Such passes may turn back or cross themselves; the result says where.
@@ -202,7 +202,7 @@ class _Run:
         return resting(self.cutter, frames, self.tilt, 0.0)
 
     def loop(self, before: ClassicalPass, u: FloatArray, v: FloatArray, found: BoolArray) -> str:
-        """Say where the next pass turns back, has a corner or crosses itself; empty if none."""
+        """Return where the next pass turns back, has a corner or crosses itself; else empty."""
         ours = self.surface.contains(u, v, 0.0)
         if (ours & ~found).any():
             i = int(np.argmax(ours & ~found))

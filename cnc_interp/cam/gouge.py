@@ -1,4 +1,4 @@
-"""The mill stays outside the surface and the other faces of a part."""
+"""Keep the mill outside the surface and the other faces of a part."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, unit
 from cnc_interp.core.kernels import njit
 
-#: Rays on which the bottom of the mill is tested, and its circles as shares of R.
+#: Number of rays on which the bottom of the mill is tested; circles on it, as shares of R.
 RAYS, CIRCLES = 48, (0.4, 0.7, 1.0)
 BEYOND = 0.2 * MM  #: Points further beyond the border than this do not belong to the surface [m].
 
 
 def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
-    """Return how deep the bottom of the mill enters the surface, by points on circles of it."""
+    """Return how deep the bottom of the mill enters the surface, tested at points on circles."""
     cutter, frames = postures.cutter, postures.frames
     depth = np.zeros(len(postures))
     if cutter.is_ball:
@@ -41,9 +41,11 @@ def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
 
 
 FALL = 4.0 * MM  #: Distance over which a raised tilt falls off on each side [m].
-#: Depth to which the tilt is raised, as a share of the allowed depth: postures lie between.
+#: Depth at which a raised tilt is accepted, as a share of the allowed depth, because postures lie
+#: in between [-].
 SHARE = 0.5
-#: Places in each interval of a pass at which the heel is tested: it meets a hollow suddenly.
+#: Places in each interval of a pass at which the heel is tested, because it meets hollows
+#: suddenly.
 FINER = 4
 HALVINGS = 14  #: Halvings of the interval of tilts.
 
@@ -93,7 +95,7 @@ def raised(
 
 
 def smooth_cover(s: FloatArray, values: FloatArray, distance: float, at: FloatArray) -> FloatArray:
-    """Return a smooth function nowhere below the values: a weighted mean of maxima around."""
+    """Return a smooth function that is nowhere below the values: a mean of maxima nearby."""
     step = float(np.median(np.diff(s)))
     middle = np.arange(s[0] - 2.0 * distance, s[-1] + 2.0 * distance + step, step)
     near = np.abs(middle[:, None] - s[None, :]) <= distance
@@ -104,7 +106,7 @@ def smooth_cover(s: FloatArray, values: FloatArray, distance: float, at: FloatAr
     return np.asarray(weight @ largest / np.where(total > 0.0, total, 1.0))
 
 
-STEP = 0.2 * MM  #: Distance of the poses that are tested [m].
+STEP = 0.2 * MM  #: Spacing of the tested poses [m].
 GOUGE = 1.0 * UM  #: Largest depth at which the mill may enter a neighbour [m].
 SHORTEST = 1.0 * MM  #: Parts shorter than this are left out [m].
 

@@ -16,7 +16,7 @@ from scipy.ndimage import label
 from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint, demand
 from cnc_interp.core import MM, UM, FloatArray, cross, dot, norm, scaled, unit
 
-CELLS = 200  #: Cells per direction in which a curve is sought.
+CELLS = 200  #: Number of cells per direction in which a curve is searched.
 STEP = 0.4 * MM  #: Largest distance of the points of a curve [m].
 STEEP = 0.05  #: Smallest sine of the angle between a guiding plane and the surface [-].
 
@@ -78,7 +78,7 @@ class GuidingCurve:
 
 
 class GuidingPlanes:
-    """The guiding curves in parallel planes; beyond the border they end where offsets do."""
+    """The guiding curves in parallel planes; they end with the offset surface."""
 
     def __init__(
         self, surface: Surface, offset: float, plane_normal: FloatArray, extension: float
@@ -109,7 +109,7 @@ class GuidingPlanes:
         self.span = float(level.min()), float(level.max())
 
     def curve(self, plane: float) -> GuidingCurve:
-        """Return the curve in the plane at a distance along N [m]; SurfaceError without one."""
+        """Return the curve in the plane at a distance along N [m]; SurfaceError if none."""
         surface = self.surface
         generator = contour_generator(self._u, self._v, self._level)
         lines, lengths = [], []

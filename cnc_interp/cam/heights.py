@@ -38,13 +38,13 @@ COLOURS = [
 RANGE = 1.3
 #: Heights are summed in units of 2 ** -HEIGHT_BITS m, their squares in 2 ** -SQUARE_BITS m2.
 HEIGHT_BITS, SQUARE_BITS = 60, 75
-#: Where such numbers are divided, so that neither half overflows when millions are added.
+#: Bit at which such numbers are split, so that neither half overflows when millions are added.
 HALF = 24
 
 
 @dataclass(frozen=True, order=True)
 class Extreme:
-    """A lowest or highest height and its place; of equal heights the first needle counts."""
+    """A lowest or highest height and its place; of equal heights the first needle is taken."""
 
     height: float  #: The height [m]; the negative of it for a highest one.
     row: int
@@ -53,7 +53,7 @@ class Extreme:
 
 @dataclass(frozen=True)
 class Figures:
-    """Sums over the needles that were cut, as whole numbers: the order cannot matter."""
+    """Sums over the cut needles, as whole numbers, so that their order does not matter."""
 
     #: Number of needles, of those that the mill has reached, and of those deeper than ``GOUGE``.
     needles: int = 0
@@ -158,9 +158,9 @@ def exact_sum(values: FloatArray, bits: int) -> int:
 
 #: Needles in each direction of a tile, which is a chunk of the store and an image of the page.
 TILE = 256
-MADE_BY = {'made_by': 'cnc_interp'}  #: Attribute that distinguishes our stores.
-KINDS = ('lowest', 'highest', 'mean')  #: What a cell of a level says about the needles in it.
-#: Faults of a record that is cut again.
+MADE_BY = {'made_by': 'cnc_interp'}  #: Attribute that identifies stores of this package.
+KINDS = ('lowest', 'highest', 'mean')  #: Values of a cell of a level.
+#: Faults of a record after which its tile is cut again.
 UNREADABLE = (OSError, UnreadableError, ValueError, TypeError, KeyError)
 
 
@@ -183,7 +183,7 @@ class HeightStore:
         self._height = self._group['height']
 
     def _fits(self, place: Path, grid: NeedleGrid) -> bool:
-        """Return whether a store of these needles is there; reject a folder of somebody else."""
+        """Return whether a store of these needles exists; refuse a folder with other content."""
         ours = False
         try:
             found = self._zarr.open_group(place, mode='r')

@@ -1,7 +1,7 @@
 """5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes.
 
-Strips share their border, so errors of half widths do not decay: the recursion starts with a
-constant half width, and afresh, with a small overlap, if a pass cannot be found or strays.
+Strips share their border, so errors of half widths do not decay. The recursion starts with a
+constant half width. It restarts, with a small overlap, if a pass cannot be found or strays.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from cnc_interp.cam.passes import (
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError, norm
 
-CLOSER = 0.985  #: Distance of a pass that starts afresh, as a share of its half width.
+CLOSER = 0.985  #: Distance of a restarted pass, as a share of its half width [-].
 #: Default distance of the points along a pass [m]; there are at least 25.
 SPACING = 0.8 * MM
 MOST_PASSES = 5000
@@ -46,11 +46,11 @@ ENDS = 3  #: Points at both ends that are exempt, because the angles are free th
 
 
 class NoPassError(UnfitError):
-    """No posture leaves the scallop: the plane distance does not fit the curvature there."""
+    """No posture leaves the scallop, because the plane distance does not fit the curvature."""
 
 
 class HeelError(UnfitError):
-    """The heel of the mill enters the surface: a larger tilt lifts it."""
+    """The heel of the mill enters the surface; a larger tilt would lift it."""
 
 
 class PassRecursion:
@@ -95,7 +95,7 @@ class PassRecursion:
             return self.closer_pass(None, plane, 1, error)
 
     def half_width_at(self, plane: float) -> float:
-        """Return half the distance of the planes; the tilt determines it without a stepover."""
+        """Return half the distance of the planes; without a stepover, the tilt determines it."""
         if self.options.stepover is not None:
             return 0.5 * self.options.stepover
         curve = self.planes.curve(plane)
@@ -365,8 +365,8 @@ class IsoScallopOptions:
     #: The first pass has the constant half width d/2, or the constant tilt, as in the paper.
     start: Literal['width', 'tilt'] = 'width'
     points: int | None = None  #: Number of scallop points along a pass.
-    #: A pass starts afresh if the half width differs from d/2 by more than this share [-]. None is
-    #: the recursion of the paper: a pass that cannot be found is then an error.
+    #: A pass is restarted if the half width differs from d/2 by more than this share [-]. None
+    #: selects the recursion of the paper, in which a pass that cannot be found is an error.
     stray: float | None = 0.25
     #: Largest depth at which the bottom of the mill may enter the surface [m].
     gouge: float = 1.0 * UM
@@ -389,7 +389,7 @@ class IsoScallopOptions:
 @dataclass(frozen=True)
 class IsoScallopPaths:
     passes: list[Pass]  #: The passes in order.
-    notes: list[str] = field(default_factory=list)  #: Which passes started afresh, and why.
+    notes: list[str] = field(default_factory=list)  #: Which passes were restarted, and why.
 
     @property
     def iterations(self) -> tuple[float, float, float]:
@@ -440,7 +440,7 @@ def iso_scallop_paths(
 
 
 def facts_of(paths: IsoScallopPaths) -> dict[str, Any]:
-    """Return what the summary says of passes along planes."""
+    """Return the facts about passes along planes for the summary."""
     tilt = np.concatenate([p.angles.tilt for p in paths.passes])
     planes = np.abs(np.diff([p.plane for p in paths.passes]))
     marched, refined, second = paths.iterations

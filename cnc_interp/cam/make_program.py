@@ -37,7 +37,7 @@ from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
-HIGHER = 1.002  #: A note names executed ridges that are higher than so many scallops.
+HIGHER = 1.002  #: A note names executed ridges above this multiple of the scallop height [-].
 
 
 def make_program(request: CamRequest) -> int:

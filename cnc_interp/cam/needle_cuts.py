@@ -1,8 +1,8 @@
-"""Compiled loops of the N-buffer: where needles enter the mill, and where on its way first.
+"""Compiled loops of the N-buffer: where needles first enter the moving mill.
 
-Groups of needles are skipped only where the test of each needle would skip it, too. So a needle
-ends at the same height, bit for bit, in whatever tile it stands. The functions of one needle are
-written in the part of Python that ``warp_cuts.py`` can translate: scalars, rows of arrays, no
+A group of needles is skipped only if the test of each of its needles would skip it too. So a
+needle ends at the same height, bit for bit, in every tile. The functions of one needle are written
+in the subset of Python that ``warp_cuts.py`` can translate: scalars, rows of arrays, and no
 literal that is overwritten in a loop.
 """
 
@@ -15,7 +15,7 @@ from cnc_interp.core.kernels import njit
 #: Depth at which needles begin below the surface, and height at which they end above it [m].
 DEPTH, TOP = 2.0 * MM, 1.0 * MM
 SHORT = 0.05 * MM  #: Distance below the end of a needle at which the search for a cut begins [m].
-#: Rounding of distances; a group of needles is skipped only this much further away [m].
+#: Rounding of distances: a group of needles is skipped only with this extra distance [m].
 ROUNDING = 1e-9 * MM
 
 
@@ -100,7 +100,7 @@ def entry_at(
     skin: float,
     most: float,
 ) -> float:
-    """Return the entry height at a share of piece i of the motion; ``most``: that so far [m]."""
+    """Return the entry height at a share of piece i of the motion; ``most``: lowest so far [m]."""
     x = first[i, 0] + share * (last[i, 0] - first[i, 0])
     y = first[i, 1] + share * (last[i, 1] - first[i, 1])
     z = first[i, 2] + share * (last[i, 2] - first[i, 2])

@@ -1,4 +1,4 @@
-"""Needles and the motion that cuts them. Patches of one size give the same places, bit for bit."""
+"""Needles and the motion that cuts them; equal patches give the same places, bit for bit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cnc_interp.program.geometry.subdivide import great_circle, ragged
 
 PATCH = 64  #: Needles in each direction of a patch.
 GROUP = 64  #: Approximate number of needles in a group, which is tested as a whole.
-#: Most needles at once, most in a row or column of a grid, and most of a grid.
+#: Largest number of needles at once, in a row or column of a grid, and in a grid.
 MOST_AT_ONCE, MOST_IN_LINE, MOST = 50_000_000, 1 << 24, 1 << 40
 
 
@@ -67,7 +67,7 @@ class Needles:
         return GROUP // wide, wide
 
     def groups(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return needles by group, where each group begins, and a ball around it [m]."""
+        """Return needles ordered by group, the begins of groups, and a ball around each [m]."""
         rows, columns = self.shape
         index = np.arange(rows * columns).reshape(rows, columns)
         tall, wide = self.group_size()
@@ -143,7 +143,7 @@ BATCH = 2000  #: Pieces of a batch; each batch begins with a rough cut.
 class MotionPieces:
     """Pieces of the motion of a mill, between two poses on straight lines of tip and axis.
 
-    They are so short that a parabola through three heights locates the lowest one.
+    Pieces are so short that a parabola through three heights locates the lowest one.
     """
 
     cutter: Cutter  #: The mill.

@@ -20,11 +20,11 @@ class UnfitError(SurfaceError):
 
 
 class StripError(UnfitError):
-    """A strip becomes narrower than it has to be, even at the smallest tilt."""
+    """A strip is narrower than required, even at the smallest tilt."""
 
 
 class WideStripError(UnfitError):
-    """A strip is wider than it has to be at some places, even at the largest tilt."""
+    """A strip is wider than required at some places, even at the largest tilt."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> A
 
 
 class StripWidth(NamedTuple):
-    """What a pass leaves and how far it goes: scallop height, half width, overrun [m]."""
+    """Requirements of a pass: scallop height, half width, overrun [m]."""
 
     height: float
     half_width: float
@@ -204,7 +204,7 @@ def runs(true: BoolArray) -> list[slice]:
 
 
 def places_around(good: BoolArray, kept: BoolArray) -> IntArray:
-    """Return the good places from the run with the first milled place to that with the last."""
+    """Return the good places, from the run of the first milled place to that of the last."""
     found = runs(good)
     ours = [run for run in found if kept[run].any()]
     if not ours:

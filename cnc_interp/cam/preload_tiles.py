@@ -1,4 +1,4 @@
-"""What every tile of needles needs, imported once by the process from which workers are forked."""
+"""Imports of tiles of needles, loaded once by the process from which workers are forked."""
 
 import gc
 

@@ -1,4 +1,4 @@
-"""What the `cam` commands are asked for, in SI: the options of the command line end here."""
+"""Requests of the `cam` commands in SI, made from the options of the command line."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -12,9 +12,9 @@ from cnc_interp.cam.tool_path import LinkOptions
 from cnc_interp.core import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.settings.options import Settings
 
-#: Tolerances of the program, as a share of the scallop height, and of what is held in reserve.
+#: Tolerances of the program, as shares of the scallop height, and of the reserve [-].
 SMOOTHING, SMOOTHING_OF_RESERVE = 0.2, 0.5
-#: Units of what keeps its name; all else has none.
+#: Units of options that keep their name; others have none.
 UNITS = {'spacing': MM, 'margin': MM, 'overrun': MM, 'feed': MM_PER_MIN, 'scallop': UM}
 UNITS |= {'reserve': UM, 'chord': UM, 'direction': DEG}
 
@@ -35,7 +35,7 @@ class CutRequest:
     machine: str
     compensate: str | None  #: Machine whose drives are the model of the executed motion.
     json: bool  #: Whether the summary is printed as JSON, without progress.
-    device: Device  #: What cuts.
+    device: Device  #: Device that computes the cuts.
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Self:
@@ -62,15 +62,15 @@ class CamRequest(CutRequest):
     out: Path  #: Folder to write.
     ignore_neighbours: bool  #: Whether passes may enter other faces of the part.
     strategy: Strategy
-    passes: Wanted  #: What they are to be like.
+    passes: Wanted  #: Requested passes.
     reserve: float  #: Part of the scallop height for smoothing and drives [m].
     links: LinkOptions
-    format: Literal['spline', 'cl', 'gcode']  #: Of the program.
+    format: Literal['spline', 'cl', 'gcode']  #: Format of the program.
     chord: float  #: Chord tolerance of formats without splines [m].
     overrun: float  #: Length of the passes beyond the border [m].
     feed: float  #: [m/s].
     simulate: bool  #: Whether the program cuts the surface.
-    run: bool  #: Whether the planned and the executed motion do so, too.
+    run: bool  #: Whether the planned and the executed motion also cut it.
 
     @classmethod
     def _more(cls, options: Mapping[str, Any], cutter: Cutter) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class SimulateRequest(CutRequest):
     """A program or a plan that cuts a surface."""
 
     motion: Path  #: Part program, or folder of a plan.
-    executed: bool  #: Whether the drives move, not the setpoints.
+    executed: bool  #: Whether the motion of the drives cuts, instead of the setpoints.
     out: Path | None  #: Page to write.
     tiles: Path | None  #: Folder of tiles, for millions of needles.
     workers: int | None

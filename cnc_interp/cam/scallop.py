@@ -143,7 +143,7 @@ Freedom = Literal['tilt', 'yaw']
 
 #: Further guesses of the free angle, if the first guess fails [rad].
 OTHER_GUESSES = (2.0 * DEG, 8.0 * DEG, 25.0 * DEG, 60.0 * DEG)
-#: Of the place [m] and of the angle [rad]: steps of the differences, and largest Newton step.
+#: Steps of the differences, and largest Newton steps, for place [m] and angle [rad].
 STEPS, LARGEST_STEP = (1e-8, 1e-7), (1.0 * MM, 0.3)
 
 
@@ -256,7 +256,7 @@ Misses = tuple[FloatArray, FloatArray, BoolArray]
 def newton_step(
     misses: Sequence[Misses], steps: tuple[float, float], largest: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the moves that meet both conditions: misses here, and a step of each unknown off."""
+    """Return the Newton moves, given the residuals here and after a step of each unknown."""
     (first, second, _), *moved = misses
     (a, c), (b, d) = (
         ((x - first) / step, (y - second) / step)

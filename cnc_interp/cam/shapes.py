@@ -62,7 +62,7 @@ class Bumps(Graph):
 
 
 class Cap(Graph):
-    """A part of a sphere that a part of a torus joins to a plane [TL2008, Fig. 1]."""
+    """A part of a sphere, joined to a plane by a part of a torus [TL2008, Fig. 1]."""
 
     def __init__(self, size: tuple[float, float], radius: float, blend: float, angle: float):
         super().__init__(size)
@@ -238,7 +238,7 @@ GAP = 2e-4  #: Largest gap between edges that meet, as a share of the extent of 
 
 
 class Trimmed(Surface):
-    """A surface of which only the part within a boundary is machined; it continues beyond."""
+    """A surface that continues beyond a boundary, within which it is machined."""
 
     def __init__(self, surface: Surface, edges: Sequence[FloatArray]):
         edges = joined(edges)

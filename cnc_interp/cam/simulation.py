@@ -1,4 +1,4 @@
-"""What is simulated: motions of programs, of plans and of the machine; sections with scallops."""
+"""Simulated motions, of programs, of plans and of the machine; sections with scallops."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class Motion:
 
 
 def thinned(motion: Motion) -> Motion:
-    """Drop poses that the straight line between their neighbours replaces, far below a scallop."""
+    """Drop poses that lie on the line between their neighbours, far within a scallop height."""
     tip, axis = motion.tip, motion.axis
     for _ in range(THINNINGS):
         if len(tip) < 5:

@@ -1,4 +1,4 @@
-"""Passes as pairs of cubic B-splines, poses along them, and those of one face, cut back."""
+"""Passes as pairs of cubic B-splines, poses along them, and the passes of one face."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cnc_interp.cam.passes import kept_ranges
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core import MM, UM, FloatArray, dot, norm, scaled, unit
 
-ARM = 10.0 * MM  #: Height above the tip at which the tool axis counts for the chord tolerance [m].
+ARM = 10.0 * MM  #: Height above the tip at which the chord tolerance also holds [m].
 FINEST = 20  #: Most halvings of the intervals along a pass.
 SPACING = 0.05 * MM  #: Distance of the poses that a spline is compared with [m].
 CLOSE = 0.05 * UM  #: Largest distance of a spline from these poses [m].
@@ -144,7 +144,7 @@ class MachinedFace:
     paths: Strips  #: The passes.
     parts: list[list[SplinePass]]  #: The milled parts of each pass that has any.
     seconds: float  #: Computing time [s].
-    notes: list[str] = field(default_factory=list)  #: What the user should know.
+    notes: list[str] = field(default_factory=list)  #: Notes for the user.
 
 
 def cut_back(

@@ -1,6 +1,7 @@
-"""The strategies of `cam iso-scallop`: their options, how they make passes, and what is shown.
+"""The strategies of `cam iso-scallop`: options, functions that make passes, and figures.
 
-A strategy is its own module and a row here; command line, program, summary and page follow.
+Each strategy has its own module and a row here, from which command line, program, summary and page
+are derived.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StrategyOption:
-    """An option of the command line that only some strategies read."""
+    """An option of the command line for some strategies only."""
 
     name: str
-    meaning: str  #: For the help, which says the default.
-    default: Any = None  #: As the command line has it; False for a flag.
+    meaning: str  #: Text for the help, which adds the default.
+    default: Any = None  #: Default on the command line; False for a flag.
     metavar: str | tuple[str, str] | None = None  #: A pair: two values.
     unit: float = 1.0
     kind: Any = float
@@ -35,7 +36,7 @@ class StrategyOption:
     values: tuple[str, ...] = ()
 
     def value(self, given: Any) -> Any:
-        """Return what was given, in SI."""
+        """Return the given value in SI."""
         if isinstance(given, (list, tuple)):
             return tuple(one * self.unit for one in given)
         return given * self.unit if isinstance(given, float) else given
@@ -43,7 +44,7 @@ class StrategyOption:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What passes are to be like."""
+    """The requested properties of passes."""
 
     ridge: float  #: Scallop height that they leave [m].
     overrun: float  #: Their length beyond the border [m].

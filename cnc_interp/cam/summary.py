@@ -19,7 +19,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 
 TURNS = range(1, 61)  #: Turns of the workpiece that are tried, in this order [deg].
-#: A pass is near the pole where the outer axis is asked for more of its largest velocity [-].
+#: A pass is near the pole where the outer axis needs a larger share of its largest velocity [-].
 NEAR = 2.0
 #: A path is moved through the pole if it is nearer than this share of its tolerance [-].
 THROUGH = 0.5

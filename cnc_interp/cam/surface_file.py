@@ -1,7 +1,7 @@
 """Surface files: STEP, or JSON in mm and degrees (docs/how_it_works/cam.md).
 
-OpenCASCADE may crash, or compute without end, for a STEP file that is wrong on purpose. So it has
-a process of its own, which writes the surface, or a reason, to its standard output.
+OpenCASCADE may crash or never end on a malicious STEP file. So it runs in a separate process,
+which writes the surface, or a reason, to its standard output.
 """
 
 import os
@@ -130,8 +130,8 @@ def _placed(file: _File, surface: Surface) -> Surface:
     return Placed(surface, np.asarray(rotation), shift)
 
 
-#: Time of a processor for a file [s], and for each MB of it. Memory beside what its length
-#: explains [bytes].
+#: Processor time for a file, and more for each MB of it [s]. Memory beyond that explained by its
+#: length [bytes].
 SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
 
 

@@ -1,7 +1,7 @@
 """The work of `cam simulate --tiles`: needles in tiles, their figures, levels and the page.
 
-A page from the disk may load scripts, not files: so each tile is a script with its heights, whole
-nanometres in three planes of bytes, deflated, in base 64.
+A page opened from disk may load scripts but not files. So each tile is a script with its heights:
+whole nanometres in three planes of bytes, deflated, in base 64.
 """
 
 import json
@@ -100,7 +100,7 @@ def histogram(figures: Figures) -> dict[str, Any]:
 
 #: Unit of the heights on the page [m], and the number that stands for zero.
 STEP, ZERO = 1e-9, 1 << 23
-POINTS = 65  #: Points in each direction from which the page finds x, y and z.
+POINTS = 65  #: Points in each direction from which the page interpolates x, y and z.
 
 
 class TilePage:

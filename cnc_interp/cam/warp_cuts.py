@@ -1,4 +1,4 @@
-"""The loops of ``needle_cuts.py`` given to Warp in double precision; heights agree to 1e-11 m."""
+"""The loops of ``needle_cuts.py``, run by Warp in double precision; heights agree to 1e-11 m."""
 
 import ast
 import inspect
@@ -14,7 +14,7 @@ from cnc_interp.cam import needle_cuts
 from cnc_interp.cam.needles import MotionPieces
 from cnc_interp.core import FloatArray, InterpError
 
-#: What is translated, in the order of their calls.
+#: Functions that are translated, in the order of their calls.
 FUNCTIONS = ('gap', 'entry', 'entry_at', 'lowest', 'cut_roughly', 'cut_finely')
 CONSTANTS = ('DEPTH', 'TOP', 'SHORT')  #: Module constants that they use.
 #: Types of their arguments.
@@ -117,7 +117,7 @@ def translated(function: Any) -> str:
 
 
 class _Doubles(ast.NodeTransformer):
-    """Gives literals double precision, which Warp takes for single; drops types of variables."""
+    """Gives literals double precision, because Warp assumes single; drops types of variables."""
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
         assert node.value is not None

@@ -1,4 +1,4 @@
-"""Runs in bags, what is proven of them, and scores of motions along the problem set."""
+"""Commands for runs in bags, their proofs, and scores of motions along the problem set."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def prove(
     beside: Sequence[FloatArray] = (),
     faults: Sequence[str] = (),
 ) -> Proof:
-    """Prove plan files; ``faults``: what a record says otherwise."""
+    """Prove plan files; ``faults``: contradictions in the record."""
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.proof.plan_files import read_plan
     from cnc_interp.proof.program_again import compare_with_text, with_program
@@ -151,8 +151,8 @@ def run_files(
 ) -> Iterator[tuple[Path, str, list[FloatArray], list[str]]]:
     """Yield plan files of a run in a bag, the last one or by its id, in a temporary folder.
 
-    With them come the machine, the motion beside the program, and where the record of the run
-    contradicts itself, if that is to be compared.
+    Also yield the machine, the motion outside the program, and contradictions in the record of the
+    run if they are to be checked.
     """
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.executed_run import faults_of

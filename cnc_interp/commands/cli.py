@@ -66,14 +66,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _is_interrupt(problem: BaseException | None) -> bool:
-    """Return whether it was Ctrl-C; a library that is being loaded makes an ImportError of it."""
+    """Return whether it was Ctrl-C, which libraries may turn into ImportError while loading."""
     while not isinstance(problem, KeyboardInterrupt | None):
         problem = problem.__cause__ or problem.__context__
     return problem is not None
 
 
 def _told(problem: OSError, options: argparse.Namespace | None) -> str:
-    """Return a fault of the file system in words; a full disk is named by what is written."""
+    """Return a fault of the file system as text; for a full disk, with the written file."""
     place = problem.filename or getattr(options, 'out', None) or getattr(options, 'record', None)
     reason = problem.strerror or str(problem)
     if isinstance(problem, FileExistsError | NotADirectoryError):

@@ -20,7 +20,7 @@ FINE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 def program_file(text: str) -> Path:
-    """Return where a program is; the examples that helps name are found from everywhere."""
+    """Return the path of a program; the examples named in helps are found from everywhere."""
     file = Path(text)
     if file.parts[:1] != ('examples',) or file.exists():
         return file
@@ -31,7 +31,7 @@ def program_file(text: str) -> Path:
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose mistakes are reported in one line, with the option that may be meant."""
+    """A parser that reports mistakes in one line, with the option that may be meant."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse; reject an unknown option where the options of the command are known."""
@@ -119,7 +119,7 @@ def page_options() -> tuple[Adds, ...]:
 
 
 def command(commands: Any, function: Any, example: str, *options: Adds) -> CommandParser:
-    """Add a command by the name of its function; the docstring there says what it is for."""
+    """Add a command by the name of its function, whose docstring is the description."""
     name = function.__name__.removesuffix('_command').replace('_', '-')
     told = str(function.__doc__)
     purpose = told[0].lower() + told[1:].rstrip('.')

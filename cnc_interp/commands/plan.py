@@ -125,7 +125,7 @@ def _compile(machine: Machine) -> None:
 
 
 def machine_of(options: argparse.Namespace) -> Machine:
-    """Return the machine; with the workpiece elsewhere, its file is among the plan files."""
+    """Return the machine; if the workpiece is shifted, write its file to the plan files."""
     from cnc_interp.machine_model.machine import Machine, placed_machine, with_guessed_limits
 
     shift = options.place_x, options.place_y, options.place_z

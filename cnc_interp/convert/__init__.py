@@ -1,1 +1,1 @@
-"""A part program in another dialect."""
+"""Conversion of part programs to other dialects, and of machine files from other formats."""

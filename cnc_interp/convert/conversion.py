@@ -1,4 +1,4 @@
-"""A part program in another dialect: its blocks, or its smooth path as native B-splines."""
+"""Write a part program in another dialect: its blocks, or its smooth path as native B-splines."""
 
 from dataclasses import dataclass, replace
 

@@ -7,21 +7,22 @@ from dataclasses import dataclass, field
 from cnc_interp.core import InterpError
 from cnc_interp.machine.hal_pins import BITS
 
-#: Words of ``halcmd`` that connect pins, and where signal and pins are among the others.
+#: Words of ``halcmd`` that connect pins, with the positions of signal and pins.
 LINKS = {'net': 0, 'linksp': 0, 'linkps': 1, 'linkpp': 0}
 MOST_THREADS = 3
 SPECIAL = 'threads', 'weighted_sum'  #: Modules whose instances have no names.
 Inputs = dict[
     str, str | float
-]  #: What the inputs of an instance are set to, or which pin they read.
-Resolve = Callable[[str], str]  #: The value that a word like ``[SECTION]KEY`` has in the INI.
+]  #: Values of the inputs of an instance, or the pins that they read.
+Resolve = Callable[[str], str]  #: Returns the value of a word like ``[SECTION]KEY`` in the INI.
 
 
 @dataclass
 class Board:
     first_sum: int  #: Number of the first ``weighted_sum``, after those of the configuration.
     modules: dict[str, list[str]] = field(default_factory=dict)  #: Instances by module.
-    functions: list[str] = field(default_factory=list)  #: In the order in which they are called.
+    #: Functions in the order in which they are called.
+    functions: list[str] = field(default_factory=list)
     nets: dict[str, list[str]] = field(default_factory=dict)  #: Pins that read a pin.
     names: dict[str, str] = field(default_factory=dict)  #: Signals of pins, where they have one.
     settings: list[str] = field(default_factory=list)
@@ -43,7 +44,7 @@ class Board:
             self.names[self.pin(source)] = name
 
     def pin(self, name: str) -> str:
-        """Return the name of a pin that may be of a ``weighted_sum``."""
+        """Return the name of a pin, which may belong to a ``weighted_sum``."""
         return re.sub(r'wsum\.(\d+)', lambda n: f'wsum.{int(n[1]) + self.first_sum}', name)
 
     def lines(self, done: set[str]) -> list[str]:
@@ -82,7 +83,7 @@ def rows_of(text: str) -> list[Row]:
 
 
 def connected(rows: Sequence[Row]) -> dict[str, int]:
-    """Return the row that connects each pin in the end: ``unlinkp`` and ``delsig`` count."""
+    """Return the row that finally connects each pin, after ``unlinkp`` and ``delsig``."""
     found: dict[str, int] = {}
     for k, words in ((k, row.words) for k, row in enumerate(rows)):
         if words[:1] == ['net'] and len(words) > 1:
@@ -110,7 +111,7 @@ class Loads:
         self.board = Board(len(self._list('weighted_sum', 'wsum_sizes')))
 
     def merge(self) -> None:
-        """Load what both need together, and what the configuration loads more than once."""
+        """Merge loads that both need, and repeated loads of the configuration."""
         self.merged |= {
             module: each
             for module, each in self._given.items()
@@ -124,7 +125,7 @@ class Loads:
         return [each for text in texts for each in text.split(',') if each]
 
     def lines(self, columns: tuple[str, str], threads: dict[str, str]) -> list[str]:
-        """Return what is loaded: threads with their periods, streams, modules."""
+        """Return the lines that load threads with their periods, streams and modules."""
         for of in (row.given for row in self.merged.get('threads', ())):
             threads |= {of[f'name{k}']: of[f'period{k}'] for k in '123' if f'name{k}' in of}
         if len(threads) > MOST_THREADS:

@@ -10,7 +10,7 @@ from cnc_interp.core import DEG, INCH, MM, InterpError, MachineError
 from cnc_interp.machine_model.demands import demand
 
 HAL_LIBRARY = Path('/usr/share/linuxcnc/hallib')  #: HAL files of LinuxCNC itself.
-DEEPEST = 8  #: Files that include each other.
+DEEPEST = 8  #: Largest depth of files that include each other.
 #: Names of units in ``[TRAJ]`` [m, rad].
 UNITS = {
     'mm': MM,
@@ -37,7 +37,7 @@ class Ini:
         return [value for name, value in self.sections.get(section, ()) if name == key]
 
     def get(self, section: str, key: str, usual: str = '') -> str:
-        """Return a value without its comment; of a key that repeats the first, as LinuxCNC."""
+        """Return a value without its comment; of repeated keys the first, as in LinuxCNC."""
         text = next(iter(self.all(section, key)), usual)
         return text.partition('#')[0].partition(';')[0].strip()
 
@@ -106,7 +106,7 @@ def _text(path: Path) -> str:
 def hal_lines(files: Sequence[Path], ini: Ini | None) -> list[str]:
     """Return the lines of HAL files, and of those that an INI file among them names.
 
-    Lines that go on are joined, and ``source`` is followed. Raises InterpError for files in Tcl.
+    Continued lines are joined, and ``source`` is followed. Raises InterpError for files in Tcl.
     """
     lines: list[str] = []
     for file in files:

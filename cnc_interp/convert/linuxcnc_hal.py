@@ -1,4 +1,4 @@
-"""A HAL file with cnc_interp in the place of LinuxCNC's motion controller."""
+"""Make a HAL file in which cnc_interp replaces LinuxCNC's motion controller."""
 
 import re
 from collections.abc import Sequence
@@ -28,24 +28,24 @@ from cnc_interp.machine_model.signals import (
 
 #: Modules of the motion controller, by name or as the INI file names them.
 MOTION = re.compile(r'motmod|tpmod|homemod|[\w-]+kins|\[(KINS|EMCMOT|TRAJ)\].*')
-THREADS = re.compile(r'motmod|\[EMCMOT\]\(?EMCMOT\)?')  #: The one that makes the threads.
+THREADS = re.compile(r'motmod|\[EMCMOT\]\(?EMCMOT\)?')  #: Module that makes the threads.
 #: Pins of programs that do not run beside cnc_interp.
 ABSENT = re.compile(r'(joint|axis|axisui|halui|iocontrol|motion|spindle|tp|ini|[\w-]+kins)\.\S+')
-#: What asks for the power of a joint.
+#: Pins that request the power of a joint.
 ENABLE = re.compile(r'joint\.\d+\.amp-enable-out|motion\.motion-enabled|halui\.machine\.is-on')
-#: The input that says that the emergency stop is released, what asks for that, and its reset.
+#: Input that shows the released emergency stop, the pin that requests it, and its reset.
 RELEASED, LOOP = 'iocontrol.0.emc-enable-in', 'iocontrol.0.user-enable-out'
 RESET = 'iocontrol.0.user-request-enable'
-STOP = 'cnc-released'  #: The signal that takes the place of that of the emergency stop.
-NUMBER = 'iocontrol.0.tool-prep-number'  #: The number of the tool, a whole one there.
+STOP = 'cnc-released'  #: Signal that replaces that of the emergency stop.
+NUMBER = 'iocontrol.0.tool-prep-number'  #: Number of the tool, an integer pin in LinuxCNC.
 SPINDLE_FAULT = 'spindle.0.amp-fault-in'
-#: Functions that take the place of those of the motion controller.
+#: Functions that replace those of the motion controller.
 HANDLER, CONTROLLER = 'motion-command-handler', 'motion-controller'
 FEEDBACK = 'process_wsums', SAMPLER
 RESET_DELAY, POWER_DELAY = (
     0.05,
     0.1,
-)  #: From the wish for power to the reset, and to the power [s].
+)  #: Delays from the power request to the reset, and to the power [s].
 
 
 ERROR, SLOW = 1.0, 1.0  #: Usual largest following error, and velocity of a motor alone [mm, mm/s].
@@ -54,10 +54,10 @@ ERROR, SLOW = 1.0, 1.0  #: Usual largest following error, and velocity of a moto
 def hal_file(
     text: str, axes: Sequence[str], wiring: Wiring, signals: Signals = NO_SIGNALS
 ) -> tuple[str, list[str]]:
-    """Put cnc_interp in the place of LinuxCNC's motion controller, in the text of all HAL files.
+    """Replace LinuxCNC's motion controller by cnc_interp in the text of all HAL files.
 
-    Returns the new file, and the lines that connect what is not there any more. Raises InterpError
-    where an axis would not move.
+    Returns the new file, and the lines that connect pins that no longer exist. Raises InterpError
+    if an axis would not move.
     """
     moving = [axis for axis in axes if axis not in wiring.locked]
     if set(wiring.joints) != set(moving) or max(map(wiring.joints.count, moving)) > 2:
@@ -85,7 +85,7 @@ class _Conversion:
         self.rows, self.final, self.wiring, self.n = rows, final, wiring, len(axes)
         self.loads, self.columns = Loads(rows, wiring.resolve), columns_of(len(axes), signals)
         self.board = self.loads.board
-        self.pins: dict[str, set[str]] = {}  #: Of each signal.
+        self.pins: dict[str, set[str]] = {}  #: Pins of each signal.
         for pin, k in final.items():
             self.pins.setdefault(rows[k].words[1], set()).add(pin)
         self.stop = next(
@@ -98,7 +98,7 @@ class _Conversion:
         )
         self.made: list[str] = []
         self.left_out: list[str] = []
-        self.signals: set[str] = set()  #: That there are so far.
+        self.signals: set[str] = set()  #: Signals so far.
         self.placed: set[str] = set()  #: Pins of ours in the lines of the configuration.
         self.needed = {HANDLER, CONTROLLER}
         self._wire(axes, signals)
@@ -106,7 +106,7 @@ class _Conversion:
         self.threads: dict[str, str] = {}
 
     def _wire(self, axes: Sequence[str], signals: Signals) -> None:
-        """Lay out what cnc_interp adds, and which of its pins replace those of LinuxCNC."""
+        """Lay out the additions of cnc_interp, and its pins that replace those of LinuxCNC."""
         board, n = self.board, self.n
         outputs, inputs = pins_of(n, signals)
         board.functions.append(STREAMER)
@@ -130,7 +130,7 @@ class _Conversion:
     def _power(self, faults: list[str], signals: Signals) -> None:
         """Gate the power: requested, no fault, no empty stream, emergency stop released.
 
-        Without it, outputs with a gate are off, until cnc_interp asks for power again.
+        Without power, gated outputs are off until cnc_interp requests power again.
         """
         board, n, wanted = self.board, self.n, sent(0)
         board.connect(wanted, name='cnc-enable')
@@ -231,11 +231,10 @@ class _Conversion:
     def _index(
         self, x: str, asked: str, command: str, actual: str, offset: str, unit: float
     ) -> tuple[str, str]:
-        """Make an axis count from its index; return where its command and its position are.
+        """Make an axis count from its index; return the pins of its command and position.
 
-        At its index pulse an encoder counts again from 0. So ``index`` takes the jump off its
-        position, and adds it to the command, in that period: the machine sees a position that
-        continues.
+        At its index pulse an encoder restarts at 0. In that period ``index`` removes the jump from
+        the position and adds it to the command, so that the machine sees a continuous position.
         """
         board = self.board
         off = f'{x}-off.out'
@@ -266,8 +265,8 @@ class _Conversion:
     ) -> None:
         """Move two motors by one axis; each stops at its switch while ``square`` is on.
 
-        A motor runs at the command plus what it has stopped for. Without power, the second one
-        follows its own position, so that nothing jumps when the power comes.
+        The command of a motor is offset by the way for which it was stopped. Without power, the
+        second motor's command follows its own position, so that nothing jumps at power-on.
         """
         board, place, power = self.board, self.place, 'power-given.ok-out'
         switches = [f'joint.{k}.home-sw-in' for k in joints]
@@ -315,7 +314,7 @@ class _Conversion:
                 place[given[0]] = f'{x}-home.in-1 {x}-home.in-2'
 
     def _spindle(self, outputs: dict[str, str]) -> None:
-        """Derive pins that LinuxCNC has beside speed and direction, if they are connected."""
+        """Derive further spindle pins of LinuxCNC, besides speed and direction, if connected."""
         board, place, final = self.board, self.place, self.final
         if 'tool_number' in outputs and NUMBER in final:
             number = {'in': outputs['tool_number']}
@@ -426,7 +425,7 @@ class _Conversion:
         self.made.append(' '.join(words) if kept or not row.words[2:] else f'# {row.line}')
 
     def finished(self) -> tuple[str, list[str]]:
-        """Return the file and what it leaves out."""
+        """Return the file and the omitted lines."""
         if self.needed:
             raise InterpError(
                 f'no HAL file names {min(self.needed)}; give all files of the configuration'

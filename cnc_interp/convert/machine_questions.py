@@ -1,4 +1,4 @@
-"""A machine file made by questions: each answer is checked by what reads machine files."""
+"""Make a machine file by questions; each answer is checked by the reader of machine files."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _answered(
 
 
 def shown(machine: Machine) -> list[str]:
-    """Return what a machine is, a line for each axis."""
+    """Return a description of a machine, with a line for each axis."""
     lines = []
     for axis in machine.axes:
         size, unit = axis.shown_size, axis.shown_unit

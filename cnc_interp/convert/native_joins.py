@@ -1,10 +1,11 @@
 """Native curves joined by parametrization splines [B2013, 2.6, Fig. 4], for ``convert``.
 
-Two portions, pairs of cubic B-splines with one knot vector, may meet with G2 continuity, and the
-tool axis still jumps in its rate. Here both curves stay; the axis slides along the top curve:
-u_top = f(u_bottom). The paper finds f at each end by Newton's method. The limit of small steps has
-a closed form (``connection.matching_slopes``): derivatives of f with which o_s, o_ss and o_sss
-continue along the top curve, or jump least. ``joining.py`` removes a rest, but changes the curves.
+Two portions, pairs of cubic B-splines with one knot vector, may meet with G2 continuity although
+the rate of the tool axis jumps. Both curves are kept here, and the axis slides along the top
+curve: u_top = f(u_bottom). The paper finds f at each end by Newton's method. The limit of small
+steps has a closed form (``connection.matching_slopes``): derivatives of f with which o_s, o_ss and
+o_sss continue along the top curve, or jump least. In contrast, ``joining.py`` changes the curves,
+but also removes the remaining jump.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def _written(portion: Portion, f: BPoly, height: float, tolerance: float) -> Lin
 
 
 def _both(curve: BSpline, f: BPoly, u: FloatArray) -> FloatArray:
-    """Return tip at u and second point at f(u), shape (k, 6) [m]."""
+    """Return the tip at u and the second point at f(u), shape (k, 6) [m]."""
     u_top = f(u).clip(0.0, curve.t[-1])
     return np.hstack([curve(u)[:, :3], curve(u_top)[:, 3:]])
 
@@ -194,7 +195,7 @@ class Joins:
     def _linked(
         self, portion: Portion, before: Jets | None, after: Jets | None, line: int
     ) -> Linked | None:
-        """Join one portion; None if nothing is to be done or its own knots are repeated."""
+        """Join one portion; None if no join is needed or its own knots are repeated."""
         if (portion.knot_interval[1:-2] == 0.0).any():
             return None
         sides = self._open(portion, before, False), self._open(portion, after, True)

@@ -34,7 +34,7 @@ STEEL: Colour = (0.58, 0.63, 0.68, 1.0)
 CUTTER: Colour = (0.88, 0.55, 0.14, 1.0)
 STOCK: Colour = (0.70, 0.74, 0.78, 0.35)
 FIXTURE: Colour = (0.66, 0.50, 0.30, 1.0)
-HIT: Colour = (0.92, 0.18, 0.20, 1.0)  #: Two bodies that hit each other.
+HIT: Colour = (0.92, 0.18, 0.20, 1.0)  #: Colour of two bodies that hit each other.
 #: Height of the bridge above the tool tip, and its half width, for travels of half a metre [m].
 BRIDGE, HALF_WIDTH = 0.78, 0.68
 LIMB = 0.025  #: Radius of a limb over the length of the whole arm [-].
@@ -88,7 +88,7 @@ def frame_shapes(machine: Machine) -> tuple[Shape, ...]:
     return tuple(shapes)
 
 
-#: Bridge, saddle and ram, which X, Y and Z move.
+#: Shapes of bridge, saddle and ram, which are moved by X, Y and Z.
 SLIDES = (
     Shape((0.10, 2 * HALF_WIDTH, 0.12), (-0.13, 0.0, BRIDGE), SLIDE),
     Shape((0.12, 0.20, 0.20), (-0.06, 0.0, BRIDGE), IRON),
@@ -142,7 +142,7 @@ class Description:
     name: str  #: Name of the machine.
     links: dict[str, tuple[Shape, ...]]  #: Shapes of each link, the base first.
     joints: tuple[Joint, ...]  #: Parents before children.
-    bodies: tuple[DrawnBody, ...] = ()  #: Those of a scene, which replace all shapes.
+    bodies: tuple[DrawnBody, ...] = ()  #: Bodies of a scene, which replace all shapes.
 
     def pose(self, link: str, positions: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """Return rotation (3, 3) and origin (3,) [m] of a link in the base; other axes at 0."""
@@ -176,7 +176,7 @@ def describe_machine(machine: Machine, bodies: Sequence[DrawnBody] = ()) -> Desc
 
 
 def colour_of(body: DrawnBody) -> Colour:
-    """Return the colour of a body of a scene: by what it is, or by the link that carries it."""
+    """Return the colour of a body of a scene, by its role or by the link that carries it."""
     roles = {'STOCK': STOCK, 'CUTTER': CUTTER, 'SHANK': STEEL, 'HOLDER': IRON}
     links = {BASE: IRON, WORKPIECE: FIXTURE, TOOL_TIP: CUTTER}
     turns = body.link.endswith(('_table', '_head'))
@@ -218,7 +218,7 @@ def arm_shapes(joints: Sequence[Joint]) -> dict[str, tuple[Shape, ...]]:
 
 
 HEADER = '<?xml version="1.0"?>\n'
-UNKNOWN_EFFORT = 0.0  #: Largest force of a joint: needed by URDF, unknown [N, N m].
+UNKNOWN_EFFORT = 0.0  #: Largest force of a joint, which URDF requires but is unknown [N, N m].
 
 
 def urdf_of(

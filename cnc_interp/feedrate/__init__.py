@@ -1,1 +1,1 @@
-"""AxisPath -> MotionLaw: the fastest motion within the feed and all axis limits."""
+"""Plan the fastest motion along an AxisPath within the feed and all axis limits."""

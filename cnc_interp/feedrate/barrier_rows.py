@@ -45,7 +45,7 @@ CHUNK = 256  #: Most cells that are summed over all axes at a time, and that ste
 
 
 class BarrierRows(NamedTuple):
-    """The rows of a part of the path, and how its cells are weighted and divided."""
+    """The rows of a part of the path, with the weights and chunks of its cells."""
 
     factors: FloatArray
     inverse_caps: FloatArray
@@ -54,7 +54,7 @@ class BarrierRows(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """What the iteration moves: coefficients, effective widths, slacks and duals."""
+    """The variables of the iteration: coefficients, effective widths, slacks and duals."""
 
     m: FloatArray
     width: FloatArray

@@ -39,7 +39,7 @@ MOST_ROUNDS = 3  #: Largest number of rounds of speed guess and refinement.
 LARGEST_GROUP = 32  #: Largest number of path cells in one planner cell.
 MOST_NODES = 30_000  #: Most nodes in a window; a coarser grid is slower, but in time.
 ALWAYS_GROUPED = 1e-5  #: Cells that take less time than this are always grouped [s].
-NEAR = 1e-6  #: A kink nearer to a border of its cell gets no grid point: part of the cell [-].
+NEAR = 1e-6  #: A kink gets no grid point within this part of the cell from its border [-].
 
 
 @njit(cache=True, nogil=True, error_model='numpy')

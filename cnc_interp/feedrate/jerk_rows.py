@@ -39,7 +39,7 @@ from cnc_interp.core.limit_table import (
 )
 from cnc_interp.core.native import DistinctArrays
 
-FloatRows = tuple[FloatArray, ...]  #: Rows of one length, none of which overlaps another.
+FloatRows = tuple[FloatArray, ...]  #: Rows of equal length that do not overlap in memory.
 
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)

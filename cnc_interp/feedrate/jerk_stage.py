@@ -390,7 +390,7 @@ class StretchProblem:
 
 
 def _better(one: Stretch, other: Stretch) -> bool:
-    """Say whether a law is nearer to the limit on the error at the tool, or faster within it."""
+    """Return whether a law keeps the tool's error limit better, or is faster within it."""
     off = max(one.tool_use, 1.0), max(other.tool_use, 1.0)
     return off[0] < off[1] or (off[0] == off[1] and one.duration.sum() < other.duration.sum())
 

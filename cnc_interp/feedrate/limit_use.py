@@ -169,7 +169,7 @@ def _value(
     sign: float,
     friction: float,
 ) -> float:
-    """Return what is limited of an axis: its velocity, acceleration, jerk or torque."""
+    """Return the limited quantity of an axis: its velocity, acceleration, jerk or torque."""
     (q_s, q_ss, q_sss), (v, a, j) = slopes, state
     if row == by_place.VELOCITY:
         return q_s * v
@@ -181,7 +181,7 @@ def _value(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _limits(table: FloatArray, row: int, k: int, q: float) -> tuple[float, float]:
-    """Return the limits of what is limited, upwards and downwards."""
+    """Return the upper and lower limit of that quantity."""
     if row == TORQUE:
         drive, friction = table[DRIVE, k, 0], table[COULOMB, k, 0]
         return drive - friction, drive + friction

@@ -115,7 +115,7 @@ def _axis_motion(
 
 
 class CellLaw(NamedTuple):
-    """A law on the grid of a path, as ``Stretch`` has it."""
+    """A law on the grid of a path, in the form of ``Stretch``."""
 
     v: FloatArray
     a: FloatArray

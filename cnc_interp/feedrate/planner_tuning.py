@@ -1,4 +1,4 @@
-"""Settings of the feed planner, and what it keeps of an older plan."""
+"""Settings of the feed planner, and the cells that it keeps of an older plan."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class KeptCells:
-    """The first cells of a stretch as an older plan had them; so its law stays feasible."""
+    """The first cells of a stretch in an older plan, kept so that its law stays feasible."""
 
     ends: FloatArray  #: (k,): Path positions at the ends of the cells [m].
     scale: FloatArray  #: (k, 4, n_axes): Parts of the limits that these cells may use [-].
@@ -67,6 +67,6 @@ def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
 
 
 def tool_warnings(machine: Machine, settings: Settings) -> list[str]:
-    """Return what must be known of ``wanted_tool`` before the motion; raises as it does."""
+    """Return warnings about ``wanted_tool`` for the operator; raises as it does."""
     tool = wanted_tool(machine, settings)
     return [] if tool is None else tool.warnings

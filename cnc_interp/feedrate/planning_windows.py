@@ -412,7 +412,7 @@ def plan_path(
     Parameters
     ----------
     limits : Machine or Limits
-        What the axes can do.
+        The limits of the axes.
     start : tuple of float
         s_dot [m/s] and s_ddot [m/s2] of a motion that goes on.
 

@@ -1,4 +1,4 @@
-"""The stop along the path from any state of motion: brake with all that the axes leave.
+"""The stop along the path from any state of motion, with the full braking that the axes allow.
 
 With s_dot = v, s_ddot = a and s_dddot = j, the jerk of an axis is
 

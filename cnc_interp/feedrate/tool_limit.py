@@ -1,4 +1,4 @@
-"""A limit on the error at the tool that the drives leave: rows for the jerk stage, and its check.
+"""A limit on the error that the drives leave at the tool: rows for the jerk stage, and a check.
 
 In slow motion the axes are off by e = c1 q' + c2 q'' - sign(q') away (``drives/tool_error.py``),
 and the tip by J e with J = dp/dq. What counts is the part across the path, in the normals n of the
@@ -38,7 +38,7 @@ FIRST_PART, LEAST_PART = 0.97, 0.2  #: Part of the limit of rows at first, and l
 RELAXED = 1e-3  #: Part by which the limit is relaxed for cells of an older plan [-].
 STEADY_PART = 0.8  #: Largest part of its limit that friction and backlash may take of a row [-].
 AIM, EXCESS_FACTOR = 0.985, 1.3  #: Use that a correction aims at; factor on the excess.
-NEARBY = 0.02  #: An error counts for the motion so long before and after it [s].
+NEARBY = 0.02  #: An error is attributed to the motion within this time before and after it [s].
 RUN_UP = 0.6  #: Time before a start in motion for which the drives are simulated [s].
 STANDS = 0.5  #: Way of the tip per path length below which only the tool axis moves [-].
 
@@ -78,7 +78,7 @@ class ToolLimit:
 
     @property
     def warnings(self) -> list[str]:
-        """What must be known before the motion: a limit below friction and backlash."""
+        """Warnings for the operator: a limit below the effect of friction and backlash."""
         taken = float(np.linalg.norm(self.series.away[self.machine.is_linear]))
         if taken <= self.largest:
             return []

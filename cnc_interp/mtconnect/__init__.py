@@ -1,1 +1,1 @@
-"""What the machine does, for the shop: an MTConnect agent that only reads."""
+"""An MTConnect agent that reports the machine's state to the shop; it only reads."""

@@ -1,4 +1,4 @@
-"""The device that a machine is to MTConnect: its components and what is observed of each.
+"""The MTConnect device of a machine: its components and their data items.
 
 Names and types are those of MTConnect 2.4, part 2 (devices) and part 3 (observations).
 """
@@ -16,7 +16,7 @@ from cnc_interp.machine_model.machine import Machine
 
 SAMPLE, EVENT, CONDITION = 'SAMPLE', 'EVENT', 'CONDITION'
 ACTUAL, COMMANDED, PROGRAMMED, RAPID = 'ACTUAL', 'COMMANDED', 'PROGRAMMED', 'RAPID'
-#: Conditions by the node whose diagnostics tell them, and that of all other nodes.
+#: Conditions by the node whose diagnostics report them; and that of all other nodes.
 CONDITION_OF = {'program_node': 'LOGIC_PROGRAM', 'machine_node': 'SYSTEM'}
 OTHER_CONDITION = 'MOTION_PROGRAM'
 
@@ -42,12 +42,12 @@ class Component:
     name: str = ''
     items: tuple[DataItem, ...] = ()
     parts: tuple[Component, ...] = ()
-    joint: Joint | None = None  #: How it moves, and what carries it.
+    joint: Joint | None = None  #: Its joint, with motion and carrier.
     carrier: str = ''  #: Name of the axis that carries it; empty: the bed.
-    uuid: str = ''  #: Of the device only.
+    uuid: str = ''  #: UUID of the device; empty for components.
 
     def walk(self) -> Iterator[Component]:
-        """Yield it and all parts of it."""
+        """Yield this component and all its parts."""
         yield self
         for part in self.parts:
             yield from part.walk()

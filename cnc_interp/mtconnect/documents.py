@@ -27,11 +27,11 @@ XSI = 'http://www.w3.org/2001/XMLSchema-instance'
 BASE_FRAME = 'machine_frame'
 CATEGORIES = {'SAMPLE': 'Samples', 'EVENT': 'Events', CONDITION: 'Condition'}
 MOTIONS = {'prismatic': 'PRISMATIC', 'revolute': 'REVOLUTE', 'continuous': 'CONTINUOUS'}
-LONGEST_PATH = 1000  #: Of a path that chooses data items [characters].
+LONGEST_PATH = 1000  #: Longest path that chooses data items [characters].
 
 
 def instant(time: float) -> str:
-    """Return a time since 1970 [s] as documents have it, to a microsecond."""
+    """Return a time since 1970 [s] in the format of documents, to a microsecond."""
     return datetime.fromtimestamp(time, UTC).strftime('%Y-%m-%dT%H:%M:%S.%fZ')
 
 
@@ -70,13 +70,13 @@ class Agent:
         return root
 
     def devices(self, tools: int) -> bytes:
-        """Return the description of the device, with so many tools as assets."""
+        """Return the description of the device, with the number of tools as assets."""
         root = self._document('Devices', assetBufferSize=ASSETS_KEPT, assetCount=tools)
         _component(_sub(root, 'Devices'), self.device)
         return _text(root)
 
     def chosen(self, path: str) -> Collection[str]:
-        """Return the ids of the data items that an XPath names; RequestError: not a path."""
+        """Return the ids of the data items that an XPath names; RequestError if invalid."""
         whole = items_of(self.device)
         if not path:
             return whole
@@ -94,7 +94,7 @@ class Agent:
         return {item.get('id') for one in elements for item in one.iter('DataItem')}
 
     def streams(self, found: Iterable[Observation], following: int) -> bytes:
-        """Return observations; ``following``: number from which the next request continues."""
+        """Return observations; ``following``: number at which the next request continues."""
         store = self.store
         last = store.next_sequence - 1
         first = min(store.first_sequence, last)

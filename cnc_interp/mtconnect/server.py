@@ -15,13 +15,13 @@ from cnc_interp.mtconnect.documents import Agent, asset_id
 from cnc_interp.mtconnect.store import RequestError
 from cnc_interp.program.job import Tool
 
-COUNT, MOST = 100, 1 << 17  #: Observations of a sample: where none are named, and at most.
-HEARTBEAT = 10_000  #: Longest silence of a stream where none is named [ms].
+COUNT, MOST = 100, 1 << 17  #: Number of observations in a sample: default, and largest.
+HEARTBEAT = 10_000  #: Default for the longest silence of a stream [ms].
 SLOWEST = 3_600_000  #: Largest interval and heartbeat [ms].
 FASTEST = 10  #: Least time between two parts of a stream [ms].
 BOUNDARY = 'cnc_interp_part'
-MOST_CLIENTS = 64  #: That are answered at the same time; others are turned away.
-PATIENCE = 30.0  #: For a client that sends or takes nothing [s].
+MOST_CLIENTS = 64  #: Largest number of clients served at the same time.
+PATIENCE = 30.0  #: Timeout for a client that sends or takes nothing [s].
 
 #: Parameters of each request.
 KNOWN = {
@@ -34,7 +34,7 @@ KNOWN = {
 
 
 class Requests:
-    """What a request means; ``tools``: the tool table now."""
+    """Answers requests; ``tools``: returns the present tool table."""
 
     def __init__(self, agent: Agent, tools: Callable[[], dict[int, Tool]]):
         self._agent, self._tools = agent, tools
@@ -173,7 +173,7 @@ class AgentServer(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, *_: Any) -> None:
-        """Say nothing: a client has gone away."""
+        """Ignore the error, because a client has disconnected."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -182,7 +182,7 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version, timeout = 'HTTP/1.1', PATIENCE
 
     def log_message(self, *_: Any) -> None:
-        """Say nothing: clients ask many times a second."""
+        """Log nothing, because clients send many requests per second."""
 
     def do_GET(self) -> None:
         status, found = self.server.requests.answer(self.path)

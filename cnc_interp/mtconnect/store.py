@@ -13,11 +13,11 @@ from cnc_interp.mtconnect.device import DataItem
 
 UNAVAILABLE = 'UNAVAILABLE'
 NORMAL, WARNING, FAULT = 'Normal', 'Warning', 'Fault'  #: Levels of a condition.
-BUFFER = 1 << 17  #: Observations that are kept.
+BUFFER = 1 << 17  #: Number of observations that are kept.
 
 
 class RequestError(InterpError):
-    """A request that cannot be answered; ``code``: what MTConnect calls the reason."""
+    """A request that cannot be answered; ``code``: MTConnect's name of the reason."""
 
     def __init__(self, code: str, message: str):
         super().__init__(message)
@@ -30,8 +30,8 @@ class Observation:
     time: float  #: Since 1970 [s].
     item: str  #: Id of its data item.
     value: str  #: Text, or the level of a condition.
-    code: str = ''  #: Of a condition: who says it.
-    text: str = ''  #: Of a condition: what is wrong, in words.
+    code: str = ''  #: For a condition: its reporter.
+    text: str = ''  #: For a condition: description of the fault.
 
 
 class Store:
@@ -68,7 +68,7 @@ class Store:
         self._counts[item] = _after(self._counts[item], found)
 
     def observe(self, values: Mapping[str, str]) -> None:
-        """Take values of data items by their ids; those that have not changed are no news."""
+        """Store values of data items by id; unchanged values are ignored."""
         with self._news:
             for item, value in values.items():
                 if self._counts[item][0].value != value:
@@ -76,7 +76,7 @@ class Store:
             self._news.notify_all()
 
     def condition(self, item: str, level: str, code: str = '', text: str = '') -> None:
-        """Take what one of several says of a condition: its code is who says it."""
+        """Store the report of one of several reporters of a condition; its code names it."""
         with self._news:
             counts = self._counts[item]
             active = {one.code: one for one in counts if one.value in (WARNING, FAULT)}
@@ -91,7 +91,7 @@ class Store:
             self._news.notify_all()
 
     def lose(self) -> None:
-        """Say that nothing is known any more: the machine does not answer."""
+        """Mark all data items as unavailable, because the machine does not answer."""
         with self._news:
             for item, counts in self._counts.items():
                 if not counts or counts[0].value != UNAVAILABLE:
@@ -99,7 +99,7 @@ class Store:
             self._news.notify_all()
 
     def current(self, items: Collection[str], at: int | None = None) -> list[Observation]:
-        """Return what counts now, or with an observation of a number; RequestError: not kept."""
+        """Return the values now, or at an observation number; RequestError if not kept."""
         with self._news:
             found = self._counts
             if at is not None:
@@ -115,7 +115,7 @@ class Store:
     ) -> tuple[list[Observation], int]:
         """Return up to ``count`` observations, and the number with which to continue.
 
-        A negative count goes back from ``begin``, or from the newest one. RequestError: not kept.
+        A negative count goes back from ``begin``, or from the newest. RequestError if not kept.
         """
         with self._news:
             if begin is not None:
@@ -136,7 +136,7 @@ class Store:
             return chosen, self._next
 
     def wait(self, after: int, timeout: float) -> bool:
-        """Wait until there is an observation of this number; False if none came in time [s]."""
+        """Wait until an observation of this number exists; return False at the timeout [s]."""
         with self._news:
             return self._news.wait_for(lambda: self._next > after, timeout)
 
@@ -147,6 +147,6 @@ class Store:
 
 
 def _after(before: list[Observation], new: Observation) -> list[Observation]:
-    """Return what counts of an item after a further observation: several, of a condition."""
+    """Return the current observations of an item after a new one; a condition may have several."""
     others = [one for one in before if one.code not in ('', new.code)] if new.code else []
     return others if new.value == NORMAL and others else [*others, new]

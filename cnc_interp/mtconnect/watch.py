@@ -1,4 +1,4 @@
-"""Subscribes to the nodes and stores what they do; it sends nothing."""
+"""Subscribe to the nodes and store their state; nothing is sent."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.job import Tool
 
-SILENCE = 2.0  #: After which a machine that is not heard is not available [s].
-STEP = 0.1  #: Time between two looks at the state of the machine [s].
+SILENCE = 2.0  #: Silence after which the machine counts as unavailable [s].
+STEP = 0.1  #: Time between checks of the machine's state [s].
 S = MachineState
-#: What a control calls the state of the machine, and why it rests on the path.
+#: MTConnect values for the state of the machine, and for its reason to rest on the path.
 EXECUTION = {
     S.IDLE: 'READY',
     S.RUNNING: 'ACTIVE',
@@ -45,7 +45,7 @@ HELD_BY = {
 }
 LEVELS = {DiagnosticStatus.WARN: WARNING, DiagnosticStatus.ERROR: FAULT}
 ITEM_OF = {'LOGIC_PROGRAM': 'logic', 'SYSTEM': 'system', OTHER_CONDITION: 'motion'}
-SILENT, STATE = 'silent', 'state'  #: Codes of conditions that no diagnostics tell.
+SILENT, STATE = 'silent', 'state'  #: Codes of conditions that are not in diagnostics.
 
 
 class MachineWatch(ServedNode):
@@ -81,7 +81,7 @@ class MachineWatch(ServedNode):
         self._name = Question(asked, GetParameters.Request(names=['machine']))
 
     def knows_machine(self) -> bool:
-        """Request the name of the machine until it is known; raises MachineError without file."""
+        """Request the machine's name until it is known; MachineError if its file is missing."""
         answer = self._name.answer()
         if answer is not None and answer.values:
             self.machine = Machine.load(answer.values[0].string_value)
@@ -118,7 +118,7 @@ class MachineWatch(ServedNode):
     # What is told -------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Serve the node for a moment, and tell the store what has become of the machine."""
+        """Serve the node briefly, and update the store with the machine's state."""
         self.serve(STEP)
         now = time.monotonic()
         store, state, machine = self._store, self._state, self.machine

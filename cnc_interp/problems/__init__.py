@@ -1,4 +1,4 @@
-"""Forty paths with their optima, all made by code, to compare feed laws."""
+"""Forty generated paths with their optimum times, to compare feed laws."""
 
 from cnc_interp.problems.paths import (
     Known,

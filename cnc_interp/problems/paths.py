@@ -1,4 +1,4 @@
-"""The paths of the problem set, made by code, what is known of their times, and scores."""
+"""The generated paths of the problem set, their known times, and scores of motions."""
 
 import csv
 from collections.abc import Callable, Iterator
@@ -32,15 +32,15 @@ class Problem:
     name: str
     path: AxisPath  #: q(s), stops included; ``evaluate(path, s)``.
     limits: Machine  #: ``max_velocity``, ``max_acceleration``, ``max_jerk`` (n_axes,).
-    blocks: Blocks | None = None  #: What the path was made of, if of blocks.
+    blocks: Blocks | None = None  #: Blocks from which the path was made, if any.
 
 
 class Known(NamedTuple):
-    """Times of a path [s]; NaN where there is none."""
+    """Known times of a path [s]; NaN if unknown."""
 
-    optimum: float  #: Of an independent solver: IPOPT, for strokes ruckig.
+    optimum: float  #: Time by an independent solver: IPOPT, or ruckig for strokes.
     ours: float
-    bound: float  #: Without jerk limits, no motion is faster.
+    bound: float  #: Lower bound, without jerk limits.
 
 
 @cache
@@ -55,7 +55,7 @@ def known(name: str) -> Known:
 
 
 def problems() -> Iterator[Problem]:
-    """Yield all paths of the set; each is made when its turn comes."""
+    """Yield all paths of the set, each generated when needed."""
     for name in _MADE_BY:
         yield problem(name)
 
@@ -228,7 +228,7 @@ _MADE_BY: dict[str, Callable[[], Problem]] = {
 #: Largest use that counts as kept [-], largest deviation from the path [m].
 KEPT, BESIDE = 1.001, 1.0 * UM
 CHORDS = 200_000  #: Chords, about, that stand for a path.
-#: A motion is sought so many of its steps ahead on the path, and this far at least [m].
+#: A motion is searched this many of its steps ahead on the path, and at least this far [m].
 AHEAD, LEAST = 8.0, 2e-6
 
 

@@ -1,1 +1,1 @@
-"""How the processes of cnc_interp start, find each other, and end."""
+"""Start, discovery and end of the processes of cnc_interp."""

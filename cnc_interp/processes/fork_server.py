@@ -14,14 +14,14 @@ from cnc_interp.processes.stop_signals import STOPS
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 
 COMMAND = 'cnc_interp.commands.cli'  #: Multiprocessing imports it in every child.
-#: How multiprocessing says that the fork server, and with it the end of a process, is gone.
+#: Errors of multiprocessing if the fork server, and with it the exit code of a process, is lost.
 SERVER_LOST = 255
-AFTER_CHILDREN = -50  #: When the fork server is ended: after all children.
-_sockets: TemporaryFolder | None = None  #: Where multiprocessing has its sockets.
+AFTER_CHILDREN = -50  #: Priority with which the fork server is ended: after all children.
+_sockets: TemporaryFolder | None = None  #: Folder of the sockets of multiprocessing.
 
 
 def begin_loading(modules: Sequence[str]) -> ForkServerContext:
-    """Start the fork server, which loads for seconds and outlives all signals; returns at once."""
+    """Start the fork server and return at once; it loads for seconds and ignores all signals."""
     global _sockets
     multiprocessing.set_forkserver_preload([*modules, COMMAND])
     if _sockets is None:
@@ -40,7 +40,7 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
 
 
 def begin_child(name: str) -> None:
-    """Name a child of the fork server in ps; only a SIGTERM counts, also one from before."""
+    """Name a child of the fork server in ps; it obeys only SIGTERM, even an earlier one."""
     os.setsid()
     for number in set(STOPS) - {signal.SIGTERM}:
         signal.signal(number, signal.SIG_IGN)

@@ -20,9 +20,10 @@ from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_f
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 PRELOADED = ['cnc_interp.nodes.preload_nodes']  #: What the fork server loads before it forks.
-LOOK = 0.01  #: Time between looks whether the nodes have ended [s].
-LAST_WAIT = 10.0  #: A node that lives longer is killed: a machine may have to stop [s].
-FAULT = 1  #: How a process ends that Python ends for an error that nobody caught.
+LOOK = 0.01  #: Time between checks whether the nodes have ended [s].
+#: A node that does not end within this time is killed; a machine may have to stop first [s].
+LAST_WAIT = 10.0
+FAULT = 1  #: Exit code of a process after an uncaught Python error.
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Started:
 
     @property
     def code(self) -> int | None:
-        """How the node ended, as far as it is known; None while it lives."""
+        """Exit code of the node, as far as known; None while it lives."""
         code = self.process.exitcode
         if code != SERVER_LOST:
             return code
@@ -51,7 +52,7 @@ class Started:
 
 
 def load_nodes() -> ForkServerContext:
-    """Load what the nodes need in the fork server, in the background."""
+    """Load the modules of the nodes in the fork server, in the background."""
     return begin_loading(PRELOADED)
 
 
@@ -86,7 +87,7 @@ class Children:
         self._arguments = arguments or {}
         self._context = load_nodes()
         self.nodes: dict[str, Started] = {}
-        self.faults: dict[str, str] = {}  #: Last traceback of each node that ended by one.
+        self.faults: dict[str, str] = {}  #: Last traceback of each node that ended with one.
         try:
             for node in NODES:
                 self.nodes[node] = self._start(node)
@@ -111,15 +112,15 @@ class Children:
         return Started(node, process, log)
 
     def check(self) -> None:
-        """Make sure that all nodes run; raise InterpError with the last words of a dead one."""
+        """Check that all nodes run; raise InterpError with the last output of a dead node."""
         for node in self.nodes.values():
             if node.code is not None:
                 raise InterpError(f'{node.name} ended: {node.last_words}')
 
     def revive(self) -> dict[str, str]:
-        """Restart nodes that were killed, or ended by a fault of ours; return why, by name.
+        """Restart nodes that were killed or have crashed; return the reasons by name.
 
-        Raises InterpError when a node has ended by itself, or again by the same fault.
+        Raises InterpError if a node has ended by itself, or has crashed again in the same way.
         """
         lost = {}
         for node in tuple(self.nodes.values()):
@@ -158,7 +159,7 @@ class Children:
 
 
 def process_start() -> float:
-    """Return the start of this process in monotonic time [s], to 0.01 s; now where unknown."""
+    """Return the start of this process in monotonic time [s], to 0.01 s; if unknown, now."""
     try:
         told = Path('/proc/self/stat').read_text(encoding='ascii', errors='replace')
         ticks = int(told.rpartition(')')[2].split()[19])  # field 22, after the name and the state

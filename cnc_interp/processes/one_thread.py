@@ -1,4 +1,4 @@
-"""One thread for OpenBLAS: for our small matrices more would only wait, and busily."""
+"""Restrict OpenBLAS to one thread; for small matrices, further threads would only busy-wait."""
 
 import os
 

@@ -1,7 +1,7 @@
-"""What DDS keeps in shared memory, removed after processes that could not do so.
+"""Remove the shared memory of DDS that killed processes have left behind.
 
-Fast DDS's own lock is held meanwhile: a process that opens a port whose file is removed just then
-would get another file than the next one, and no message.
+Fast DDS's own lock is held meanwhile. Otherwise a process that opens a port just when its file is
+removed would use another file than later processes, and receive no messages.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ FOLDER = Path('/dev/shm')
 SEGMENT = re.compile(r'(fastrtps_[0-9a-f]{16})_el')
 PORT = re.compile(r'(?:sem\.)?(fastrtps_port([0-9]+))(?:_el|_sl|_mutex)?')
 MAPPED = re.compile(r' ([0-9]+) +/dev/shm/(fastrtps|sem)[_.]')
-#: Ports below this number belong to no domain: all processes use them again, so they are few.
+#: Ports below this number belong to no domain; they are reused by all processes, so they are few.
 FIRST_OF_DOMAINS = 7400
 
 
@@ -70,19 +70,19 @@ def _is_dead(lock: Path) -> bool:
 
 
 def _numbers(file: Path) -> Iterator[int]:
-    """Yield the inode of a file; nothing where there is none."""
+    """Yield the inode of a file, if it exists."""
     with contextlib.suppress(OSError):
         yield file.stat().st_ino
 
 
 def semaphore_of(port: str) -> Path:
-    """Return the file of the semaphore under which Fast DDS opens or makes a port."""
+    """Return the file of the semaphore with which Fast DDS opens or creates a port."""
     return FOLDER / f'sem.{port}_mutex'
 
 
 @contextlib.contextmanager
 def opening_locked(port: str) -> Iterator[None]:
-    """Hold the semaphore under which Fast DDS opens or makes a port; if another has it, none."""
+    """Hold the semaphore with which Fast DDS opens or creates a port, unless it is taken."""
     library = ctypes.CDLL(None)
     library.sem_open.restype = ctypes.c_void_p
     name = f'/{port}_mutex'.encode()
@@ -106,7 +106,7 @@ def own_files() -> Iterator[Path]:
 
 
 def files_in_use() -> set[int]:
-    """Return the inodes open in shared memory, this process' semaphores left out; names change."""
+    """Return the inodes open in shared memory, except semaphores of this process."""
     found: set[int] = set()
     for maps in Path('/proc').glob('[0-9]*/maps'):
         with contextlib.suppress(OSError):

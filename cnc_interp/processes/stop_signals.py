@@ -1,11 +1,12 @@
-"""Ctrl-C, SIGTERM and a closed terminal: seen by a loop as a request, or handled later."""
+"""Ctrl-C, SIGTERM and a closed terminal, handled as a request in a loop, or later."""
 
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  #: What asks a command to end.
+#: Signals that request the end of a command.
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
@@ -22,7 +23,7 @@ def stop_signals() -> Iterator[list[int]]:
 
 @contextmanager
 def stops_later() -> Iterator[None]:
-    """Hold signals back until the end of what is done: ``rclpy`` loses exceptions of handlers."""
+    """Delay signals until the end of the context, because ``rclpy`` loses their exceptions."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

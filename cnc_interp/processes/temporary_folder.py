@@ -1,4 +1,4 @@
-"""Temporary folders that do not outlive their process for long, though it may be killed."""
+"""Temporary folders that are removed soon after their process, even if it is killed."""
 
 import contextlib
 import fcntl
@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-PREFIX = 'cnc_run_'  #: Short: paths of sockets may have 107 characters.
+PREFIX = 'cnc_run_'  #: Short prefix, because paths of sockets are limited to 107 characters.
 
 
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):
@@ -33,7 +33,7 @@ def remove_dead_folders() -> None:
 
 
 def is_unlocked(path: Path) -> bool:
-    """Return whether no process holds a lock on a file or folder of which it lives."""
+    """Return whether no living process holds a lock on a file or folder."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""By default no other computer reaches the nodes: variables of ROS 2 and Fast DDS that say so."""
+"""Variables of ROS 2 and Fast DDS that keep other computers from reaching the nodes."""
 
 import os
 from collections.abc import Mapping
@@ -8,11 +8,11 @@ RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 #: Variables with which a user chooses transports. Any of them replaces our profile.
 TRANSPORTS = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_BUILTIN_TRANSPORTS')
 PROFILE = Path(__file__).with_name('this_host.xml')
-SOCKETS = Path(__file__).with_name('this_host_sockets.xml')  #: The same without shared memory.
+SOCKETS = Path(__file__).with_name('this_host_sockets.xml')  #: Profile without shared memory.
 
 
 def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return variables that bind ROS to 127.0.0.1: the discovery range alone does not."""
+    """Return variables that bind ROS to 127.0.0.1, which the discovery range alone does not."""
     if environment.get(PEERS) or environment.get(RANGE, 'LOCALHOST') != 'LOCALHOST':
         return {}
     found = {RANGE: 'LOCALHOST'}

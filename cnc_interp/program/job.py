@@ -16,16 +16,16 @@ from cnc_interp.settings.options import Settings
 
 LETTERS = 'XYZABC'
 WORK_OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
-#: Those beyond: G54.1 P1 to P300 of Fanuc, which Haas writes as G154 P1.
+#: Further work offsets: G54.1 P1 to P300 of Fanuc, which Haas writes as G154 P1.
 ALL_OFFSETS = (*WORK_OFFSETS, *(f'G54.1 P{number}' for number in range(1, 301)))
 REFERENCE_POINTS = ('G28', 'G30')
-#: Beside the axes of a work offset: its rotation about Z [rad].
+#: Key of the rotation of a work offset about Z, beside its axes [rad].
 ROTATION = 'R'
 Position = Mapping[str, float]
 
 #: Longest remark of a tool [characters], and its largest number.
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
-#: What a setup file keeps of a tool: sizes [mm], the pocket, and texts.
+#: Entries of a tool in a setup file: sizes [mm], pocket, and texts.
 TOOL_SIZES = ('length', 'radius', 'corner_radius', 'length_wear', 'radius_wear', 'flute')
 TOOL_TEXTS = ('remark', 'holder')
 _TOOL_KINDS = {
@@ -41,19 +41,19 @@ _DIGITS = 9  #: Digits after the point in setup files [mm, deg].
 class Tool:
     length: float = 0.0  #: Length along the tool that G43 uses [m].
     radius: float = 0.0  #: Radius of the cutter [m].
-    remark: str = ''  #: Anything that tells it from others, in one line.
+    remark: str = ''  #: Description, in one line.
     #: Radius of its corner [m]: ``radius`` for a ball, 0 for a flat end.
     corner_radius: float | None = None
-    #: What is added to length and radius, for a tool that has worn [m].
+    #: Wear, which is added to length and radius [m].
     length_wear: float = 0.0
     radius_wear: float = 0.0
-    pocket: int = 0  #: Its place in the tool changer; 0: none.
-    holder: str = ''  #: Its holder among those of a scene; empty: the usual one.
-    flute: float = 0.0  #: Height of the part that cuts [m]; 0: all of it below the holder.
+    pocket: int = 0  #: Its pocket in the tool changer; 0 if none.
+    holder: str = ''  #: Name of its holder in a scene; empty for the default.
+    flute: float = 0.0  #: Flute length [m]; 0 if all of it below the holder cuts.
 
     @property
     def worn(self) -> Tool:
-        """The tool as it cuts, its wear added to its sizes."""
+        """The tool with its wear added to its sizes."""
         if not (self.length_wear or self.radius_wear):
             return self
         radius, corner = self.radius + self.radius_wear, self.corner_radius
@@ -83,7 +83,7 @@ class Tool:
 class SetupChange:
     field: str  #: Name of the field of ``JobSetup``.
     value: Any  #: Its new value, or that of one entry; None removes the entry.
-    #: The entry that changes, where the field is a mapping of entries.
+    #: The entry that changes, if the field is a mapping.
     key: str | int | None = None
 
     @property
@@ -104,12 +104,12 @@ class JobSetup:
     tools: Mapping[int, Tool] = field(default_factory=dict)  #: The tool table, by tool number.
     #: Machine coordinates of G28 and G30 by axis letter [m, rad]; missing values are 0.
     reference_points: Mapping[str, Position] = field(default_factory=dict)
-    #: The work offset that a program begins with; empty: G54, until the program names another.
+    #: Work offset with which a program begins; empty means G54.
     active: str = ''
-    #: What G92 adds to the work offset, by axis letter [m, rad].
+    #: Values that G92 adds to the work offset, by axis letter [m, rad].
     g92: Position = field(default_factory=dict)
-    g92_on: bool = False  #: Whether that counts; G92.2 suspends it.
-    tool: int = 0  #: Number of the tool in the spindle; 0: none.
+    g92_on: bool = False  #: Whether G92 is in effect; G92.2 suspends it.
+    tool: int = 0  #: Number of the tool in the spindle; 0 if it is empty.
 
     @property
     def offset(self) -> str:
@@ -129,7 +129,7 @@ class JobSetup:
         return replace(self, **fields)
 
     def told(self, change: SetupChange) -> str:
-        """Return what a change concerns as it is here, in mm and deg, as ``X 40 Y -70``."""
+        """Return the present values of a changed entry, in mm and deg, as ``X 40 Y -70``."""
         value = getattr(self, change.field)
         if change.field == 'active':
             return self.offset

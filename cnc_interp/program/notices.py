@@ -1,4 +1,4 @@
-"""What a program reader tells: notices of words without effect, and all refused lines."""
+"""Messages of a program reader: notices of words without effect, and refused lines."""
 
 import re
 import sys
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from cnc_interp.core import DependsOn, ProgramError, RefusedLinesError
 
-#: How a notice of something begins that somebody must do before the tool cuts.
+#: Prefix of notices that require an action before the tool cuts.
 WARNING = 'WARNING: '
 
 
@@ -37,8 +37,9 @@ class Notices:
         return tuple(self._texts.values())
 
 
-MOST, MOST_LINES = 20, 1000  #: Different refusals after which the reading ends, and refused lines.
-#: Lines that are named for one refusal; more different refusals get a table of their words.
+#: Number of different refusals, and of refused lines, after which reading ends.
+MOST, MOST_LINES = 20, 1000
+#: Number of lines named per refusal; number of refusals above which their words form a table.
 NAMED, NAMED_ALONE = 5, 3
 #: The code or the letters with which a word begins.
 _HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
@@ -47,21 +48,21 @@ _HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
 class Refusals:
     """Refused lines of a program, collected while the rest of it is read.
 
-    After a refused line neither the position nor what it has set is known, so a refusal that
-    depends on them is not kept: an arc that no longer begins where it should, a missing feed.
+    After a refused line neither the position nor the modal state is known. Refusals that depend on
+    them are dropped, such as an arc with a wrong start, or a missing feed.
     """
 
     def __init__(self) -> None:
         self._alike: dict[tuple[str, str, str], list[ProgramError]] = {}
         self._count = 0
-        #: Whether the position, and what the lines before have set, are unknown.
+        #: Whether the position, and the modal state, are unknown.
         self._is_lost = self._is_unset = False
 
     def __bool__(self) -> bool:
         return self._count > 0
 
     def add(self, problem: ProgramError, ends: bool = False) -> None:
-        """Keep a refusal unless it may only follow from another one; one that ends the reading."""
+        """Store a refusal unless an earlier one may be its cause; too many end the reading."""
         on = problem.depends_on
         key = problem.source, problem.message, problem.word
         place, state = on is DependsOn.PLACE, on in (DependsOn.STATE, DependsOn.LEFT_OVER)

@@ -1,4 +1,4 @@
-"""Part program, or lines by hand (MDI), to blocks: detects the dialect, and makes its reader."""
+"""From part programs or MDI lines to blocks: detects the dialect, and makes its reader."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from cnc_interp.settings.options import Settings
 _NO_PROGRAM = (
     'no line of it begins like G-code, CL data or Heidenhain plain text; give a part program'
 )
-MDI = 'MDI'  #: Name of a line by hand in messages.
+MDI = 'MDI'  #: Name of MDI lines in messages.
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,14 @@ class ProgramStream:
     ):
         setup = JobSetup.of(settings) if setup is None else setup
         self._source, self.source = source, source.name
-        #: Text of the setup at the start; empty where nothing is set.
+        #: Text of the setup at the start; empty if nothing is set.
         self.setup = '' if setup == JobSetup() else setup.text()
         self.dialect = profiles.form_of(source)
         self._notices, self._signals = Notices(), geometry.machine.signals
         self._reader: ClReader | ProgramReader
         settings = profiles.as_on(geometry, settings)
-        self.read_as: tuple[str, ...] = ()  #: Whose words they are, and why, in one line.
+        #: The chosen dialect, and the reason, in one line each.
+        self.read_as: tuple[str, ...] = ()
         if self.dialect == 'cl':
             self._reader = ClReader(geometry, settings, source, self._notices)
             if setup.work_offsets or setup.g92_on:
@@ -86,7 +87,7 @@ class ProgramStream:
                 self._source.close()
 
     def read_live(self) -> None:
-        """Read for a machine: blocks end at each probe until ``go_on``, tools must be known."""
+        """Read for a machine: blocks end at each probe until ``go_on``; tools must be known."""
         if isinstance(self._reader, ProgramReader):
             self._reader.at.is_live = True
 
@@ -95,10 +96,10 @@ class ProgramStream:
         return self._reader.at.probe if isinstance(self._reader, ProgramReader) else None
 
     def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
-        """Read on after a probe, when iterated again; block 0 is where the machine stands.
+        """Continue after a probe at the next iteration; block 0 is the present position.
 
-        ``stands``, ``at`` (n_axes,): where the axes stand, and where they were when the probe
-        answered; None if it has not [m, rad].
+        ``stands``, ``at`` (n_axes,): present positions of the axes, and positions at the answer of
+        the probe, or None if it did not answer [m, rad].
         """
         assert isinstance(self._reader, ProgramReader)
         self._reader.at.go_on(stands, at)
@@ -124,7 +125,7 @@ class ProgramStream:
 
     @property
     def functions(self) -> Functions:
-        """Return what the program switches, for a run from its start; complete at its end."""
+        """Return the functions of the program for a run from its start; complete at its end."""
         functions = Functions.of_rows(self._reader.targets.functions)
         row = self.start.row
         if row is None or not self.start.line:
@@ -145,7 +146,7 @@ class ProgramStream:
 
     @property
     def share(self) -> float:
-        """Return the part of the text whose blocks have been returned, about, 0 to 1."""
+        """Return the approximate share of the text whose blocks have been returned, 0 to 1."""
         return self._reader.share
 
     def read(self) -> Program:
@@ -171,8 +172,8 @@ def read_program(
 ) -> Program:
     """Read a whole part program, or raise ProgramError with file and line of refused words.
 
-    Feedrate and tolerances of the settings count where the program has none. Without ``setup`` the
-    file that the settings name is read.
+    Feedrate and tolerances of the settings are defaults for the program. Without ``setup``, the
+    file named by the settings is read.
     """
     return open_program(path, geometry, settings or Settings(), setup).read()
 
@@ -184,7 +185,7 @@ def read_text(
     settings: Settings | None = None,
     setup: JobSetup | None = None,
 ) -> Program:
-    """Read a program that is a text, as ``read_program``; ``source`` names it in messages."""
+    """Read a program from a text, as ``read_program`` does; ``source`` names it in messages."""
     stream = ProgramStream(Source.of_text(text, source), geometry, settings or Settings(), setup)
     return stream.read()
 
@@ -198,14 +199,14 @@ class MdiLine(ProgramStream):
 
 
 class MdiReader:
-    """Lines by hand share one modal state; one that is refused changes nothing."""
+    """Reads MDI lines, which share one modal state; a refused line changes nothing."""
 
     def __init__(self, geometry: Transform, settings: Settings):
         self._geometry, self._settings = geometry, profiles.as_on(geometry, settings)
         self._last = self._reader('', Notices(), JobSetup())
 
     def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
-        """Begin to read a line; the machine ``stands`` there, (n_axes,) [m, rad]."""
+        """Begin to read a line; ``stands`` (n_axes,): present positions of the axes [m, rad]."""
         if len(text.splitlines()) != 1:
             raise ProgramError('give one line at a time; a program is run with run_program', MDI)
         notices = Notices()
@@ -232,10 +233,10 @@ class MdiReader:
         return reader.active_modes(setup.offset, setup.tool)
 
     def _following(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
-        """Return a reader that goes on.
+        """Return a reader that continues from the present modal state.
 
-        Until G43 or G49 says otherwise, the length of the tool in the spindle counts; with
-        tool-tip programming that of the machine file.
+        Until G43 or G49 changes it, the length of the tool in the spindle is in effect; with
+        tool-tip programming, that of the machine file.
         """
         reader = self._reader(text, notices, setup)
         reader.at.follow(self._last.at)

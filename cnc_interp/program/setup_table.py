@@ -1,4 +1,4 @@
-"""The setup of the machine in its file, with a log; and what operators ask to be changed in it."""
+"""The setup of the machine in its file, with a log, and changes requested by operators."""
 
 import fcntl
 import os
@@ -23,22 +23,22 @@ from cnc_interp.program.job import (
     Tool,
 )
 
-LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].
-#: What can be changed of a tool.
+LARGEST = 1e5 * MM  #: Larger values suggest a wrong unit [m, rad].
+#: Entries of a tool that can be changed.
 TOOL_FIELDS = (*TOOL_SIZES, 'pocket', *TOOL_TEXTS)
 _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 
 class SetupTable:
-    """Offsets and tools of the machine, each change in the log first, then in the file, then here.
+    """Offsets and tools of the machine; each change goes to the log, then to the file, then here.
 
-    While it is open, no other table keeps the same file, which may be new; without one nothing
-    outlives this object.
+    While it is open, no other table can use the same file, which may be new. Without a file, the
+    changes are lost with this object.
     """
 
     def __init__(self, file: Path | None):
         self.file = file
-        self.changed_by = self.change = ''  #: The last change: who made it, and what it was.
+        self.changed_by = self.change = ''  #: Author and description of the last change.
         self._log: TextIO | None = None
         self.setup = JobSetup()
         if file is None:
@@ -56,7 +56,7 @@ class SetupTable:
             self.setup = JobSetup.load(file)
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:
-        """Change all of it, or raise InterpError; return what was changed, or ''."""
+        """Make all changes, or raise InterpError; return a description, or ''."""
         after = self.setup
         for change in changes:
             after = after.changed(change)
@@ -135,7 +135,7 @@ def offset_changes(
 def tool_changes(
     setup: JobSetup, number: int, given: Mapping[str, float | str], remove: bool, load: bool
 ) -> list[SetupChange]:
-    """Return the changes of a tool; ``load``: it is in the spindle from now on. Or InterpError."""
+    """Return the changes of a tool, or raise InterpError; ``load``: it is now in the spindle."""
     if not 1 <= number <= MOST_TOOL and not (load and number == 0 and not given and not remove):
         raise InterpError(f'tool {number}: tools have numbers from 1 to {MOST_TOOL}')
     changes = []
@@ -178,9 +178,9 @@ def touch_off_changes(
 ) -> list[SetupChange]:
     """Return the change of a work offset after which coordinates read given values here.
 
-    ``values``: what they shall read; ``reads``: what they read now in ``frame``, all in its
-    order; ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane several zeros
-    change for one coordinate.
+    ``values``: the new readings; ``reads``: the present readings in ``frame``, all in its order;
+    ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane, one coordinate may
+    change several zeros.
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')

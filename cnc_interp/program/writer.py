@@ -1,4 +1,4 @@
-"""Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data."""
+"""Write poses and curves as part programs: G-code, native Siemens B-splines, or CL data."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ class WrittenMove:
     program_stop: int = GO_ON  #: GO_ON, STOP or OPTIONAL_STOP.
     #: (2,): Positions of the rotary axes [rad]; None without words for them.
     rotary: FloatArray | None = None
-    duration: float = nan  #: [s], where it counts instead of the feedrate.
+    duration: float = nan  #: [s], if it is used instead of the feedrate.
     on_great_circle: bool = False  #: Whether the tool axis turns on the great circle.
     tolerance: float = 0.0  #: Path tolerance [m].
     axis: FloatArray | None = None  #: (3,): Unit tool axis [-].

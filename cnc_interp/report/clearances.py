@@ -24,7 +24,7 @@ PLACES, PAIRS, PICTURES = 400, 12, 12  #: Most setpoints, pairs and hits that ar
 
 
 def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
-    """Return the section of a plan with a scene; '' without one, or where its file is gone."""
+    """Return the section of a plan with a scene; '' without one, or if its file is missing."""
     file = Path(str(plan.settings.get('scene') or ''))
     if not plan.collision or not file.name:
         return ''
@@ -48,7 +48,7 @@ def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
 
 
 def _hits(placed: Placed, plan: PlanFiles) -> list[int]:
-    """Return the rows of hits; where a body is near the uncut stock, the rest decides."""
+    """Return the rows of hits; near the uncut stock, the remaining stock decides."""
     pair = placed.pieces.body[plan.collision['pair']]
     hits = np.flatnonzero(plan.collision['hit']).tolist()
     return [row for row in hits if not stock_is_cut(placed, *pair[row])]

@@ -70,7 +70,7 @@ def space_figure(view: CornerView) -> Any:
 
 
 def shift(view: CornerView) -> FloatArray:
-    """Return the displacement of the top curve: at true height a corner were two dots."""
+    """Return the displacement of the top curve; at true height a corner would be two dots."""
     size = _size(view)
     middle = view.axis[len(view.axis) // 2]
     return np.asarray(max(0.0, _height(view) - GAP * size) * middle)

@@ -1,4 +1,4 @@
-"""HTML pages that stand alone: their style, sections and drawings, and the packed library."""
+"""Self-contained HTML pages: their style, sections and drawings, and the packed library."""
 
 import json
 import re
@@ -13,10 +13,10 @@ import numpy as np
 from cnc_interp.core import FloatArray
 from cnc_interp.core.small_files import write_whole
 
-BESIDE = Path(__file__).parent  #: The texts of the pages that are no Python.
+BESIDE = Path(__file__).parent  #: Folder of the texts of the pages.
 STYLE = BESIDE.joinpath('style.css').read_text(encoding='utf-8')
 
-#: Part programs are confidential: no button may upload a figure.
+#: Options of figures; part programs are confidential, so no button may upload a figure.
 CONTROLS = json.dumps(
     {
         'displaylogo': False,
@@ -32,7 +32,7 @@ def section(heading: str, text: str, content: str) -> str:
 
 
 def table(heads: Iterable[str], rows: Iterable[Sequence[str]], span: int = 1) -> str:
-    """Write a table of HTML texts; headings but the first stand over ``span`` columns."""
+    """Write a table of HTML texts; headings except the first span ``span`` columns."""
     first, *others = heads
     wide = f' colspan="{span}"' if span > 1 else ''
     head = f'<th>{first}</th>' + ''.join(f'<th{wide}>{text}</th>' for text in others)
@@ -60,7 +60,7 @@ UNPACK = BESIDE.joinpath('unpack.js').read_text(encoding='utf-8')
 
 
 def letters(whole: bytes) -> str:
-    """Write bytes as letters of 7 bits; those that HTML would change or end at stand elsewhere."""
+    """Encode bytes as 7-bit characters, avoiding those that HTML would change or end at."""
     bits = np.unpackbits(np.frombuffer(whole, dtype=np.uint8))
     sevens = np.pad(bits, (0, -len(bits) % 7)).reshape(-1, 7)
     plain = (np.packbits(sevens, axis=1) >> 1).tobytes().decode('ascii')
@@ -101,7 +101,7 @@ FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, s
 BUCKETS = 600  #: Buckets of thinned curves over the whole width; each keeps its extremes.
 #: Largest ratio of the upper end of a feed axis to the feed: Eq. 10 is infinite on lines.
 HEADROOM = 1.45
-#: What a feed shows where it is touched: its custom data are time, way and line.
+#: Hover text of a feed; its custom data are time, way and line.
 AT_PLACE = (
     '%{y:.0f} mm/min at %{customdata[0]:.3f} s, %{customdata[1]:.2f} mm, line %{customdata[2]:.0f}'
 )
@@ -122,7 +122,7 @@ def base_layout(height: int) -> dict[str, Any]:
 
 
 def laid_out(figure: Any, height: int, **own: Any) -> Any:
-    """Give a flat figure the layout and the axes that all figures share, and what is its own."""
+    """Give a flat figure the common layout and axes, and its own settings."""
     figure.update_layout(base_layout(height), **own)
     quiet = {'gridcolor': GRID, 'zerolinecolor': '#c3cad1', 'linecolor': '#c3cad1'}
     figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
@@ -146,7 +146,7 @@ def add_curve(
 
 
 def scene(ranges: Iterable[dict[str, Any]], eye: dict[str, float], low: float) -> dict[str, Any]:
-    """Return the axes and the camera of a figure in space, which looks ``low`` of its middle."""
+    """Return the axes and the camera of a figure in space, which is seen ``low`` of its middle."""
     plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID}
     return {
         **{
@@ -169,7 +169,7 @@ def xyz(points: FloatArray) -> dict[str, Any]:
 
 
 def rounded(values: FloatArray) -> Any:
-    """Return values, or columns of them, as lists with as many digits as a screen can show."""
+    """Return values, or columns of them, as lists rounded to the resolution of a screen."""
     columns = np.atleast_2d(values.T)
     spread = np.ptp(np.where(np.isfinite(columns), columns, 0.0), axis=1)
     digits = np.clip(np.ceil(5.0 - np.log10(np.maximum(spread, 1e-9))), 0, 9).astype(int)

@@ -17,7 +17,7 @@ from cnc_interp.report import html
 from cnc_interp.report.series import extremes
 from cnc_interp.run.time_fit import Fitted, TracedRun
 
-#: Length of a window of the measured transfer function [s], and where it is believed.
+#: Length of a window of the measured transfer function [s]; least coherence that is shown.
 WINDOW, COHERENCE = 0.5, 0.8
 LOWEST, HIGHEST = 1.0, 120.0  #: Range of the Bode plot [Hz].
 
@@ -109,7 +109,7 @@ def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
 
 
 def transfer(drive: axis_drives.AxisDrive, viscous: float, frequency: FloatArray) -> FloatArray:
-    """Return the linear answer of an axis to its setpoint, without backlash and friction."""
+    """Return the linear response of an axis to its setpoint, without backlash and friction."""
     s = 2j * np.pi * frequency
     kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant
     answer = (f * s + kv) / (tau * s**2 + (1.0 + tau * viscous) * s + kv)
@@ -121,7 +121,7 @@ def transfer(drive: axis_drives.AxisDrive, viscous: float, frequency: FloatArray
 
 
 def _measured_transfer(found: IdentifiedAxis, period: float) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies and coherent answers; windows in which the axis turns are left out."""
+    """Return frequencies and coherent responses; windows with reversals are left out."""
     # Differences, so that the drift of positions does not leak over all frequencies.
     given, did = np.diff(found.setpoint), np.diff(found.measured)
     size = round(WINDOW / period)
@@ -205,7 +205,7 @@ def time_rows(
 
 
 def fitted_text(content: Mapping[str, Any], found: Fitted, names: Sequence[str]) -> str:
-    """Return the text of a machine file with what was found, and its intervals as a comment."""
+    """Return the text of a machine file with the fitted values, and intervals as comments."""
     whole: dict[str, Any] = dict(content)
     for key, (value, _) in found.values.items():
         *path, last = key.split('.')

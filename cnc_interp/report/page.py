@@ -31,8 +31,8 @@ from cnc_interp.report.series import (
     tool_errors,
 )
 
-#: What the deviations of a path are, for people, with the findings of a proof that measure them:
-#: from the path to the program, and back from the program's vertices to the path.
+#: Names of the deviations of a path, with the findings of a proof that measure them: from the path
+#: to the program, and from the program's vertices to the path.
 DEVIATIONS = {
     'contour': (
         'deviation between path and program at the tool tip',
@@ -43,7 +43,7 @@ DEVIATIONS = {
         ('orientation deviation', 'orientation deviation of path', 'vertex missed by top'),
     ),
 }
-NAMED = 3  #: Limits that the answer names.
+NAMED = 3  #: Largest number of limits that the answer names.
 
 #: Rows of the table: label, unit, number format, and the figure of a plan.
 ROWS: tuple[tuple[str, str, str, Callable[[ExaminedPlan], float]], ...] = (
@@ -149,7 +149,7 @@ def comparison_section(first: ExaminedPlan, second: ExaminedPlan) -> str:
 
 @dataclass(frozen=True)
 class ExaminedPlan:
-    name: str  #: Its name where it is compared with another one.
+    name: str  #: Its name in a comparison.
     plan: PlanFiles
     machine: Machine
     proof: Proof
@@ -242,7 +242,7 @@ def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, s
 
 
 def _answer(proof: Proof, series: Series, tool_error: FloatArray | None) -> str:
-    """Return the answer in a sentence: how long it takes, what limits it, whether it is proven."""
+    """Return the answer in one sentence: the time, the limits that hold it, and the proof."""
     held = time_lost(series, tool_error).by_limit
     limits = sorted(((time, name) for name, (time, _) in held.items() if time > 0.0), reverse=True)
     whole = max(float(series.time[-1] - series.time[0]), 1e-9)
@@ -259,7 +259,7 @@ def _answer(proof: Proof, series: Series, tool_error: FloatArray | None) -> str:
 
 
 def _deviation(proof: Proof, name: str) -> Finding:
-    """Return the deviation that uses most of its tolerance, as `plan` says it."""
+    """Return the deviation that uses most of its tolerance, in the words of `plan`."""
     found = [each for each in proof.findings if each.what in DEVIATIONS[name][1]]
     return max(found, key=lambda one: one.ratio if np.isfinite(one.ratio) else -1.0)
 

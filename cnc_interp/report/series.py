@@ -1,4 +1,4 @@
-"""The values that a report draws, in shop units; which limit holds the motion, at what cost."""
+"""The values that a report draws, in shop units; and the limits that hold the motion."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -32,11 +32,11 @@ class Series:
     feed_limit: FloatArray
     #: (3, K, n_axes): Velocity, acceleration and jerk over their limits, signed [-].
     axis_use: FloatArray
-    #: (3, K, n_axes): Those limits where the axes are [mm or deg, per s, per s2, per s3].
+    #: (3, K, n_axes): These limits at the positions of the axes [mm or deg, per s, s2, s3].
     axis_limits: FloatArray
     #: (K,): Torque over the largest one [-], for axes that have one.
     torque_use: dict[int, FloatArray]
-    largest_torque: dict[int, float]  #: Those torques [N or Nm].
+    largest_torque: dict[int, float]  #: Largest torques, by axis number [N or Nm].
     #: Names, and ``mm`` or ``deg``.
     axis_names: tuple[str, ...]
     axis_units: tuple[str, ...]
@@ -49,7 +49,7 @@ class Series:
     line: IntArray  #: (K,): Line of the part program.
     vertices: FloatArray  #: (M, 3): Programmed tool tips [mm].
     flank_height: float  #: Height above the tip at which the orientation error is measured [mm].
-    switched: dict[int, str]  #: What functions switch, by the number of the setpoint.
+    switched: dict[int, str]  #: Texts of functions, by setpoint number.
 
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
@@ -160,7 +160,9 @@ def extremes(values: FloatArray, buckets: int) -> IntArray:
 
 
 AT_LIMIT = 0.98  #: A limit is reached from this share on [-].
-NEAR_LIMIT = 0.9  #: An error of the drives, which is planned by a model, from this share on [-].
+#: The error of the drives, which is predicted by a model, counts as a limit from this share on
+#: [-].
+NEAR_LIMIT = 0.9
 LISTED = 12
 NO_LIMIT = 'between limits'
 
@@ -176,13 +178,13 @@ def at_limits(use: FloatArray, axis_names: tuple[str, ...]) -> dict[str, BoolArr
 
 @dataclass(frozen=True)
 class TimeLost:
-    """Time beyond that at the programmed feed; rapids lose none."""
+    """Time lost compared with the programmed feed; rapids lose none."""
 
     total: float  #: Of the whole motion [s].
-    #: By limit: time at it, and the part of the lost time then [s]. What several limits hold
-    #: together is shared by them.
+    #: For each limit: time at it, and the time lost then [s]. Several limits at once share the
+    #: lost time.
     by_limit: dict[str, tuple[float, float]]
-    #: By line: time on it, lost time, least feed [mm/min], and the limit that costs most there.
+    #: For each line: time on it, lost time, least feed [mm/min], and the limit that costs most.
     by_line: dict[int, tuple[float, float, float, str]]
 
 

@@ -1,4 +1,4 @@
-"""The stock in the report: how fast material is removed, and what is left against the part."""
+"""The stock in the report: removal rates, and the remaining stock against the part."""
 
 from __future__ import annotations
 

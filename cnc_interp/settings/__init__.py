@@ -1,1 +1,1 @@
-"""The choices of a user, each declared once."""
+"""The settings of a user, each declared once."""

@@ -1,7 +1,7 @@
-"""How one choice of the user is declared: its value, its range, its unit and its sentence.
+"""The declaration of a setting: its value, range, unit and description.
 
-``Settings`` holds the choices. The command line, ROS parameters, goals, bags, plan files and the
-operator page are made from the declarations: they walk ``choices(Settings)`` and name none.
+``Settings`` holds the settings. The command line, ROS parameters, goals, bags, plan files and the
+operator page are made from the declarations: they iterate over ``choices(Settings)``.
 """
 
 import enum
@@ -34,7 +34,7 @@ class Stage(enum.Enum):
 
 @dataclass(frozen=True)
 class Unit:
-    """The unit in which people give a number."""
+    """The unit in which users enter a number."""
 
     name: str  #: Unit of the shop floor; empty for a plain number.
     size: float  #: One unit in SI.
@@ -52,9 +52,9 @@ TIME = Unit('ms', MS, 's')
 class Choice:
     name: str  #: Name of the field, of the ROS parameter and of the key in a goal.
     kind: type  #: float, int, bool, str or Path.
-    default: Value  #: Value where the user says nothing [SI].
+    default: Value  #: Default value [SI].
     stage: Stage  #: Stage of the chain that uses it.
-    sentence: str  #: What it means, in one plain sentence without a full stop.
+    sentence: str  #: Description, one plain sentence without a full stop.
     option: str  #: Name on the command line, without the dashes.
     unit: Unit = PLAIN  #: Unit on the shop floor.
     #: Range of a number, ends included [SI].
@@ -62,9 +62,9 @@ class Choice:
     high: float = math.inf
     values: tuple[str, ...] = ()  #: The words to choose from; empty for other kinds.
     optional: bool = False  #: Whether None is allowed.
-    nothing: str = ''  #: Word for None; empty where people leave the choice out instead.
-    metavar: str = ''  #: What stands for the value in the help.
-    for_comparison: bool = False  #: Exists to compare methods; operators leave it alone.
+    nothing: str = ''  #: Word for None; empty if the option is simply left out.
+    metavar: str = ''  #: Placeholder for the value in the help.
+    for_comparison: bool = False  #: Whether it only serves to compare methods, not operation.
 
     def check(self, value: Any) -> None:
         """Refuse a value of the wrong type or outside the range; SettingsError names it."""
@@ -99,13 +99,13 @@ class Choice:
         return str(value)
 
     def shop_text(self, value: Value) -> str:
-        """Return a value as people write it: in the shop's unit, which is left out."""
+        """Return a value as text in the shop's unit, without the unit."""
         if isinstance(value, float):
             return shortest(value, self.unit.size)
         return self.text(value)
 
     def from_shop(self, text: str) -> Any:
-        """Read a value as people write it, in the shop's unit where they give none."""
+        """Read a value from text; without a unit, it is in the shop's unit."""
         return self._read(text, self.unit.size)
 
     def text(self, value: Value) -> str:
@@ -119,7 +119,7 @@ class Choice:
         return repr(float(value)) if self.kind is float else str(value)
 
     def from_text(self, text: str, need_unit: bool = False) -> Any:
-        """Read a value from text, in SI where it gives no unit; a person must give one."""
+        """Read a value from text; without a unit, it is in SI. Texts of users must have a unit."""
         text = text.strip()
         if need_unit and self.unit.name and is_number(text):
             raise SettingsError(

@@ -1,4 +1,4 @@
-"""Settings: all choices of the user, each declared in one place; and as texts."""
+"""All settings of the user, each declared in one place, and their conversion to texts."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -12,15 +12,16 @@ from cnc_interp.settings import option_kinds as kinds
 READING, SMOOTHING, MOTION = kinds.Stage.READING, kinds.Stage.SMOOTHING, kinds.Stage.MOTION
 PLANNING = kinds.Stage.PLANNING
 START, APPROACH = kinds.Stage.START, kinds.Stage.APPROACH
-DEFAULT_MACHINE = 'xyzac'  #: The machine where none is named.
+DEFAULT_MACHINE = 'xyzac'  #: Machine if none is named.
 LENGTHS = (1e-6 * MM, 1e4 * MM)  #: Range of the block length and the flank height [m].
-TOLERANCES = (1e-6 * MM, 5.0 * MM)  #: Of every tolerance [m]; larger is a wrong unit.
+#: Range of every tolerance; larger values suggest a wrong unit [m].
+TOLERANCES = (1e-6 * MM, 5.0 * MM)
 FEEDS = (1e-3 * MM_PER_MIN, 1e6 * MM_PER_MIN)  #: 0.001 mm/min to 1000 m/min [m/s].
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The choices of the user for one run [SI]; raises SettingsError, which names the choice."""
+    """The user's settings for one run [SI]; raises SettingsError, which names the setting."""
 
     contour_tolerance: float = kinds.number(
         0.02 * MM, kinds.LENGTH, TOLERANCES, READING, 'largest deviation of the tool tip'
@@ -219,21 +220,21 @@ def changed(settings: Settings) -> list[str]:
 
 
 def values_of(settings: Settings) -> dict[str, kinds.Value]:
-    """Return every choice as a value that JSON can hold; a path becomes text."""
+    """Return every setting as a JSON value; a path becomes text."""
     found = {choice.name: getattr(settings, choice.name) for choice in kinds.choices(settings)}
     return {k: str(v.resolve()) if hasattr(v, 'resolve') else v for k, v in found.items()}
 
 
-#: Choices that records of earlier versions may have, with the value that is left.
+#: Settings in records of earlier versions, with the only value that still exists.
 GONE = (('law', 'optimal'),)
 
 
 def with_texts(
     settings: Settings, texts: Iterable[tuple[str, str]], need_units: bool = False
 ) -> Settings:
-    """Return settings with some choices replaced by texts; a number without a unit is in SI.
+    """Return settings with some values replaced by texts; a number without a unit is in SI.
 
-    ``need_units`` refuses such a number, because a person wrote it. Raises SettingsError.
+    ``need_units``: refuse numbers without a unit, because a user wrote them. Raises SettingsError.
     """
     known = {choice.name: choice for choice in kinds.choices(settings)}
     given: dict[str, Any] = {}
@@ -249,7 +250,7 @@ def with_texts(
 
 
 def offered() -> tuple[kinds.Choice, ...]:
-    """Return the choices on the page: of reading and smoothing, not the period."""
+    """Return the settings on the page: those of reading and smoothing, without the period."""
     found = kinds.choices(Settings, kinds.Stage.READING, kinds.Stage.SMOOTHING)
     return tuple(choice for choice in found if not choice.for_comparison)
 

@@ -1,1 +1,1 @@
-"""Block -> PathSegment: corner rounding within tolerance, and smooth orientation connection."""
+"""From blocks to smooth segments: corner rounding and orientation connection within tolerance."""

@@ -1,4 +1,4 @@
-"""The pace of another control: how fast it goes through short blocks, and where it stops."""
+"""The pace of another control: its speed on short blocks, and its stops."""
 
 from dataclasses import replace
 

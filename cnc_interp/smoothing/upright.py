@@ -1,4 +1,4 @@
-"""Tool axes that nearly stand on the pole, put on it before anything is smoothed."""
+"""Move tool axes that are nearly on the pole onto it, before anything is smoothed."""
 
 from dataclasses import replace
 
@@ -23,12 +23,12 @@ class Upright:
         self._moved = 0.0  # how far the last tool axis was moved, at flank height [m]
         self._away = np.inf  # how far the last tool axis is from the pole, likewise
         self._row = 0
-        #: What is used of tolerances, and these, by program row [m].
+        #: Used tolerances, and the tolerances, by program row [m].
         self._used: dict[int, tuple[float, float]] = {}
         self._waiting: Blocks | None = None  # a block that may be the last one
 
     def push(self, blocks: Blocks) -> Blocks:
-        """Return blocks whose tool axes are on the pole where they were nearly.
+        """Return blocks whose tool axes are moved onto the pole if they were nearly on it.
 
         The last row may come with the next call. The start pose, exact stops, rows that name
         rotary positions, rows whose rotary axes run linearly, control points, and rows before a
@@ -63,7 +63,7 @@ class Upright:
         return self._moved_to_pole(waiting, np.zeros(1, dtype=np.bool_), np.zeros(1))
 
     def counted(self, segments: PathSegments) -> PathSegments:
-        """Return segments whose deviation counts from the program; they follow each other.
+        """Return consecutive segments whose deviation is measured from the program.
 
         A span of a curve may reach a little into the blocks beside those that it names.
         """
@@ -82,7 +82,7 @@ class Upright:
         return replace(segments, deviation=deviation, room=room)
 
     def _moved_to_pole(self, blocks: Blocks, near: BoolArray, moved: FloatArray) -> Blocks:
-        """Put tool axes on the pole and take from the tolerances on both sides what that takes."""
+        """Move tool axes onto the pole, and subtract that from the tolerances on both sides."""
         used = np.maximum(moved, np.r_[self._moved, moved[:-1]][: len(moved)])
         if len(moved):
             self._moved = float(moved[-1])

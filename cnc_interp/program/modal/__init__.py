@@ -1,1 +1,1 @@
-"""The modal state: which words set it, its values, and what is derived from them."""
+"""The modal state: the words that set it, its values, and derived values."""

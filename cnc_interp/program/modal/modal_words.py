@@ -1,4 +1,4 @@
-"""The modal values of a program, each declared once, with what sets, keeps, saves and shows it."""
+"""The modal values of a program, each declared once with its words and properties."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cnc_interp.program.text.control_traits import FANUC, PLAIN, Dialect
 
 @dataclass(frozen=True)
 class Mode:
-    #: Words with the value that each sets; the first one with a value names it.
+    #: Words with the value that each sets; the first word with a value is shown for it.
     codes: Mapping[str, Any] = field(default_factory=dict)
-    has_handler: bool = False  #: Whether its words do more than set it (``execution/``).
-    kept: bool = True  #: Whether a line by hand takes it over from the line before.
+    has_handler: bool = False  #: Whether its words also have a handler (``execution/``).
+    kept: bool = True  #: Whether an MDI line inherits it from the line before.
     saved: bool = True  #: Whether M70 and M73 save it.
-    recorded: bool = True  #: Whether blocks with another value have another modal state.
-    shown: bool = True  #: Whether its word belongs to the active codes.
-    dialects: tuple[Dialect, ...] = ()  #: Those that know its words; empty: all of them.
+    recorded: bool = True  #: Whether a change makes a new modal state of blocks.
+    shown: bool = True  #: Whether its word is among the active codes.
+    dialects: tuple[Dialect, ...] = ()  #: Dialects that know its words; empty means all.
 
 
 def _mode(start: Any, **given: Any) -> Any:
@@ -41,7 +41,7 @@ class ModalValues:
         },
     )
     incremental: bool = _mode(False, codes={'G90': False, 'G91': True})
-    #: Whether I J K are the place of the centre of an arc.
+    #: Whether I J K are absolute coordinates of the centre of an arc.
     centre_absolute: bool = _mode(False, codes={'G90.1': True, 'G91.1': False})
     feed_mode: str = _mode('G94', codes={code: code for code in ('G93', 'G94', 'G95')})
     retract_to_start: bool = _mode(True, codes={'G98': True, 'G99': False})
@@ -65,7 +65,7 @@ class ModalValues:
         },
         has_handler=True,
     )
-    tcp: str = _mode('')  #: The word that switched tool-tip programming on; empty: it is off.
+    tcp: str = _mode('')  #: Word that switched tool-tip programming on; empty if off.
     #: Whether the tool was turned to a tilted plane, until that ends.
     oriented: bool = _mode(False, recorded=False)
     feedrate: float | None = _mode(None, recorded=False)  #: With G95 [m per rev/min], else [m/s].
@@ -76,7 +76,7 @@ class ModalValues:
     spindle_speed: float = _mode(0.0)  #: [rev/min].
     contour: float = _mode(0.0)  #: Tolerances [m].
     orientation: float = _mode(0.0)
-    #: Whether S is a speed of the surface (G96), that speed [m/min], and the largest [rev/min].
+    #: Whether S is a surface speed (G96), that speed [m/min], and the largest speed [rev/min].
     by_surface_speed: bool = _mode(False, recorded=False)
     surface_speed: float = _mode(0.0, recorded=False)
     surface_limit: float = _mode(0.0, recorded=False)

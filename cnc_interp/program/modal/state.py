@@ -24,14 +24,14 @@ from cnc_interp.program.text.flow import Flow
 from cnc_interp.settings.options import Settings
 
 FARTHEST = 1e5 * MM
-#: Blocks per minute below which a notice tells the duration: an hour and more.
+#: Blocks per minute (G93) below which a notice states the duration, an hour or more.
 SLOWEST = 1.0 / 60.0
-#: The word that tool-tip programming has while the tool stands on a tilted plane.
+#: Word of tool-tip programming while the tool is upright on a tilted plane.
 ORIENTED = 'G53.1'
 #: A larger turn of a rotary axis in one cutting block gives a notice [rad].
 LONG_WAY = 180.0 * DEG + 1e-9
-_LEAST_SCALE, _MOST_SCALE = 1e-3, 1e3  #: Of mirrored and scaled axes [-].
-#: A smaller tilt is none, where a plane is told in words [rad].
+_LEAST_SCALE, _MOST_SCALE = 1e-3, 1e3  #: Limits of scales [-].
+#: A smaller tilt of a plane is not shown [rad].
 UPRIGHT = 1e-9
 LENGTH_WITH_TCP = (
     'on LinuxCNC the tool length of tool-tip programming belongs in the machine file '
@@ -112,19 +112,19 @@ class ModalState(ModalValues):
         self.dialect = PLAIN
         self.unit = INCH if settings.units == 'inch' else MM
         self.centre_absolute = settings.arc_centres == 'absolute'
-        #: -1 where I J K lead from the centre of an arc to its start.
+        #: -1 if I J K lead from the centre of an arc to its start.
         self.centre_sense = -1.0 if settings.arc_centres == 'reversed' else 1.0
-        #: Whether nothing has told yet what I J K mean, so that the first arc may do so; the
-        #: refusal of that arc stands until two more agree.
+        #: Whether the meaning of I J K is still unknown, so that the first arc may determine it;
+        #: the refusal of that arc stays until two more arcs agree.
         self.centres_open = settings.arc_centres == 'auto'
         self.lone_arc: ProgramError | None = None
         self.agreeing = 0
         #: I J K and R of the last arc [m], which some posts do not repeat.
         self.last_centre, self.last_radius = np.full((1, 3), nan), nan
         self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
-        #: G41 or G42, and the plane in which that counts; empty without.
+        #: G41 or G42, and the plane of the compensation; empty without.
         self.radius_code = self.radius_plane = ''
-        #: Whether G41 and G42 compensate along normals (CUT3DF), and the path that does so.
+        #: Whether G41 and G42 compensate along normals (CUT3DF), and the path being compensated.
         self.along_normals = False
         self.contact: ContactPath | None = None
         self.feedrate = settings.feedrate
@@ -132,7 +132,7 @@ class ModalState(ModalValues):
         self.contour = settings.contour_tolerance
         self.orientation = settings.orientation_tolerance
         # Position: a point (frames.py) [m], rotary axes [rad], whether words named them.
-        #: What the program uses of the setup: work offsets and tools.
+        #: Work offsets and tools of the setup that the program uses.
         self.used: set[str] = set()
         self.last_offset = setup.offset
         self.zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
@@ -142,7 +142,7 @@ class ModalState(ModalValues):
         self.named = 0.0
         #: Shifts of new frames that incremental words still run through [m, rad].
         self.shifted = np.zeros(5)
-        #: How far the tool stands beside its programmed place after G40 [m]; None: it does not.
+        #: Offset of the tool from its programmed place after G40 [m]; None if there is none.
         self.beside: FloatArray | None = None
         self.leaves_contour = False  # whether the next motion leads away from a contour
         #: Positions of the extra axes U V W, which count from their machine zero [m].
@@ -209,7 +209,7 @@ class ModalState(ModalValues):
         return NONE if value is None else value
 
     def active_codes(self) -> dict[str, str]:
-        """Return the word of each modal value that has one, by name, in the order of the table."""
+        """Return the active words of modal values, by name, in the order of the table."""
         found = {}
         for name, words in _SHOWN.items():
             value = getattr(self, name)
@@ -234,7 +234,7 @@ class ModalState(ModalValues):
             self.targets.change(change, self.flow.main_line)
 
     def demand_no_scale(self, word: str, axis: int | None = None) -> None:
-        """Refuse a word whose meaning differs while axes, or this one, are mirrored or scaled."""
+        """Refuse a word whose meaning is unclear while axes are mirrored or scaled."""
         if self.frames.scales and (axis is None or self.frames.factor[axis] != 1.0):
             ends = 'G50 and G50.1'
             if self.dialect is HEIDENHAIN:
@@ -251,12 +251,12 @@ class ModalState(ModalValues):
 
     @property
     def by_axes(self) -> bool:
-        """True where axis words are axis positions: with rotary or extra axes, without TCP."""
+        """Whether axis words are axis positions: with rotary or extra axes, and without TCP."""
         return bool(self.rotary_letters or self.extra_letters) and not self.tcp
 
     @property
     def axes_column(self) -> float:
-        """Return the column AXES of targets: on Fanuc, degrees count as millimetres of the way."""
+        """Return the column AXES of targets; on Fanuc, degrees count as millimetres of the way."""
         return COMBINED if self.by_axes and self.dialect is FANUC else float(self.by_axes)
 
     def tell_feed_of_turns(self, point: FloatArray) -> None:
@@ -270,7 +270,7 @@ class ModalState(ModalValues):
 
     @property
     def tool_axis(self) -> FloatArray:
-        """Unit tool axis in W where the rotary axes stand, or that of direction words, (3,)."""
+        """Unit tool axis in W at the present rotary positions, or of direction words, (3,)."""
         if self.vector is not None:
             return self.vector
         if not self.rotary_letters:

@@ -1,4 +1,4 @@
-"""Variables that the control has: numbered as on Fanuc and LinuxCNC, or named as on LinuxCNC."""
+"""System variables: numbered as on Fanuc and LinuxCNC, or named as on LinuxCNC."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, Tool
 from cnc_interp.program.modal.state import ModalState
 from cnc_interp.program.text.control_traits import HEIDENHAIN, LINUXCNC
 
-#: Modal values that Fanuc numbers from #4001 on; and where the machine stands, from #5021 on.
+#: Modal values in Fanuc's variables from #4001 on; machine positions from #5021 on.
 _GROUPS = {
     4001: 'motion',
     4002: 'plane',
@@ -21,7 +21,7 @@ _STANDS = 5021
 
 
 def numbered(state: ModalState, tool: int, cycle: str) -> dict[int, float]:
-    """Return the variables that the control has at a line, by their number."""
+    """Return the system variables at a line, by number."""
     if state.dialect in (LINUXCNC, HEIDENHAIN):  # whose words Fanuc has no numbers for
         return _of_linuxcnc(state, tool)
     words, offset = state.active_codes(), state.setup.offset.split(' P')
@@ -52,7 +52,7 @@ def numbered(state: ModalState, tool: int, cycle: str) -> dict[int, float]:
 
 
 def _of_linuxcnc(state: ModalState, tool: int) -> dict[int, float]:
-    """Return what LinuxCNC has from #5161 to #5428, and Fanuc as #5001 ..., #5041 ..."""
+    """Return the variables of LinuxCNC (#5161 to #5428) and of Fanuc (#5001 ..., #5041 ...)."""
     setup = state.setup
     found = {
         5210: float(setup.g92_on),

@@ -1,1 +1,1 @@
-"""Motions that words ask for: single blocks, cycles, threads, splines, planes and probing."""
+"""Motions of words: single blocks, cycles, threads, splines, planes and probing."""

@@ -1,4 +1,4 @@
-"""Arcs as blocks write them: which centre, plane and sense their words mean."""
+"""Arcs as written in blocks: the centre, plane and sense that their words mean."""
 
 from math import nan
 
@@ -11,12 +11,12 @@ from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.control_traits import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.text.words import BlockWords
 
-#: The plane that two centre letters of an arc tell.
+#: Plane given by two centre letters of an arc.
 _PLANE_OF = {'IJ': 'G17', 'IK': 'G18', 'JK': 'G19'}
 
 
 class ArcTargets(ModalState):
-    """The modal state with what arcs add to it: the centre before, and what centres mean."""
+    """The modal state extended for arcs: the last centre, and the meaning of centres."""
 
     def _arc(self, target: FloatArray, words: BlockWords) -> tuple[float, ...]:
         offset, absolute = np.full((1, 3), nan), np.zeros((1, 3), dtype=bool)
@@ -77,7 +77,7 @@ class ArcTargets(ModalState):
     def _modal_centre(
         self, words: BlockWords, target: FloatArray, offset: FloatArray, radius: float
     ) -> tuple[FloatArray, float]:
-        """Return the centre or radius of the arc before, where this one has none and it fits."""
+        """Return centre or radius of the last arc, if this one has none and they fit."""
         if self.last_radius > 0.0 and words.g:
             found = offset, self.last_radius
         elif self._fits(
@@ -93,7 +93,7 @@ class ArcTargets(ModalState):
         return found
 
     def _plane_told(self, target: FloatArray, offset: FloatArray, absolute: bool = False) -> str:
-        """Return the plane of an arc: that which I J K tell, where one letter fits in no other."""
+        """Return the plane of an arc, or the plane given by I J K if they fit no other."""
         given = set(np.array(list('IJK'))[np.isfinite(offset[0])])
         known = given and self.dialect in (FANUC, PLAIN)
         if known and not (len(given) == 1 and self._fits(target, offset, absolute)):

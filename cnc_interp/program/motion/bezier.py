@@ -7,15 +7,15 @@ from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text.words import BlockWords
 
 CODES = ('G5', 'G5.1')
-CHORD_SHARE = 0.1  #: Part of the contour tolerance for the chords; the smoothing has the rest [-].
+CHORD_SHARE = 0.1  #: Share of the contour tolerance for the chords; smoothing uses the rest [-].
 MOST_CHORDS = 100_000
 
 
 def go_along(mover: Mover, code: str, words: BlockWords) -> None:
-    """Go along a spline in X and Y.
+    """Add the motion along a spline in X and Y.
 
     I J lead from the start to the first control point, P Q from the end to the second one. Without
-    I J a cubic one goes on as the one before ended.
+    I J, a cubic spline continues the preceding one smoothly.
     """
     values, here = words.values, mover.here()[:3]
     mover.demand(

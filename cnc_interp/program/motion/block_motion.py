@@ -24,10 +24,10 @@ _TWO_MEANINGS = (
     'machine coordinates with tool-tip programming on: axis positions on Fanuc, tip positions on '
     'LinuxCNC; switch it off before (TRAFOOF, G49)'
 )
-_SHORT = 1e-6  #: The tool is drawn back up to so far from the travel [m].
+_SHORT = 1e-6  #: Distance from the end of travel at which a retract ends [m].
 MOST_TURN = 1e3 * 360.0 * DEG
-#: Shares of the contour tolerance where a tool length turns: of the gauge point, and of the turn;
-#: chords have the rest.
+#: Shares of the contour tolerance for a turning tool length: of the gauge point, and of the turn;
+#: chords use the rest [-].
 OF_GAUGE_POINT, OF_TURN = 0.5, 0.4
 
 
@@ -37,7 +37,7 @@ class Mover(ArcTargets):
     held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...], int] | None = None
 
     def move(self, words: BlockWords, feed_given: bool, machine: bool = False) -> None:
-        """Move to the axis words of a block, and take them; of G53 and SUPA for ``machine``."""
+        """Move to the axis words of a block and consume them; ``machine``: with G53 or SUPA."""
         arc_words = self._take_arc(words)
         named = self._has_axes(words)
         if not named and arc_words is None and self._take_vector(words) is None:
@@ -118,7 +118,7 @@ class Mover(ArcTargets):
         self.go(self.frames.point(place[:3]), rotary, feed_given=feed_given, rapid=rapid)
 
     def draw_back(self, distance: float | None, feed: float) -> None:
-        """Draw the tool back along itself [m], or to the travel; without feed [m/s] in a rapid."""
+        """Retract the tool along its axis [m], or to the end of travel; by default as a rapid."""
         self.rotary_of_vector()
         tips = np.stack([self.tool_axis, np.zeros(3), self.point])
         top, tip, q = self.geometry.linear(tips, np.tile(np.nan_to_num(self.rotary), (3, 1)))
@@ -153,12 +153,12 @@ class Mover(ArcTargets):
             self.targets.begin_radius(distance, frame, self.dialect.own_entry, told)
 
     def _tell_gouge(self, gouge: ProgramError) -> None:
-        """Report a cut into the contour at a distance that LinuxCNC does not check."""
+        """Give a notice of a gouge so far along the contour that LinuxCNC does not detect it."""
         text = f'{gouge.message}; LinuxCNC does not look so far ahead'
         self.notices.once('gouge', gouge.line_number, f'WARNING: {text}')
 
     def begin_contact(self, code: str, cutter: ToolShape) -> None:
-        """Take points from here on as those at which the cutter touches, by G41.2 or G42.2."""
+        """Take the following points as cutter contact points (G41.2, G42.2)."""
         self.demand(not self.targets.empty, 'move to a place beside the part before', code)
         self.demand(
             not self.by_axes, f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code
@@ -188,7 +188,7 @@ class Mover(ArcTargets):
                 self.beside, self.point = stands - self.point, stands
 
     def turn_to(self, point: FloatArray, rotary: FloatArray) -> None:
-        """Add a rapid as if words had named the axes; before the first motion it is the start."""
+        """Add a rapid as if words had named the axes; before any motion it sets the start."""
         self.named = float(bool(self.rotary_letters))
         if self.targets.empty:
             self.point, self.rotary = point, rotary
@@ -228,7 +228,7 @@ class Mover(ArcTargets):
         self.act(FREE, {})
 
     def _turn_length(self) -> None:
-        """Turn the tool length with the tool; the programmed tip keeps its place."""
+        """Make the tool length turn with the tool, so that the programmed tip stays in place."""
         frames = self.frames
         if self.tcp and frames.length and np.abs(self.tool_axis - frames.along).max() > SAME_AXIS:
             if self.held is not None or self.corner.size:
@@ -308,9 +308,9 @@ class Mover(ArcTargets):
         return angle
 
     def machine_words(self, words: BlockWords) -> str:
-        """Decide what machine coordinates mean while X Y Z are tool tips.
+        """Decide the meaning of machine coordinates while X Y Z are tool tips.
 
-        Where they are axis positions, tool-tip programming is off until the word that is returned.
+        If they are axis positions, tool-tip programming is off until the returned word.
         """
         turned = self.vector is not None or bool(self.rotary.any() or self.extra.any())
         turned = turned or any(words.values.get(letter) for letter in self.rotary_letters)
@@ -412,7 +412,7 @@ class Mover(ArcTargets):
             self.targets.add(row)
 
     def tolerances(self) -> tuple[float, float]:
-        """Return the tolerances of a target [m], which those of a turning tool length share."""
+        """Return the tolerances of a target [m], reduced while a tool length turns."""
         if not (self.tcp and self.frames.length):
             return self.contour, self.orientation
         lever = abs(self.frames.length) / self.settings.flank_height

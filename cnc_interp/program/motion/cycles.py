@@ -1,7 +1,8 @@
-"""Holes, as the cycles of all dialects describe them; canned cycles of G-code and of Siemens.
+"""Holes of the cycles of all dialects, and the canned cycles of G-code and Siemens.
 
-Z, R, Q and P of G73 to G89 stay valid for the next holes. Cycles of Siemens begin with RTP, RFP,
-SDIS, DP (absolute), DPR (below RFP); with MCALL they run after every block with a motion.
+Z, R, Q and P of G73 to G89 stay valid for the next holes. The first arguments of Siemens cycles
+are RTP, RFP, SDIS, DP (absolute) and DPR (below RFP). With MCALL a cycle runs after every motion
+block.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,33 +23,34 @@ from cnc_interp.program.text.words import BlockWords
 #: Kinds of strokes: a rapid, and those at the feed into the hole and out of it.
 RAPID, INTO, OUT_OF = range(3)
 _MOST_PECKS = 10_000
-_NOTHING = 1e-9  #: What is left of a hole and not worth another stroke [m].
+_NOTHING = 1e-9  #: Remaining depth that needs no further stroke [m].
 
 
 @dataclass(frozen=True)
 class Hole:
-    """How a hole is made from the level ``retract``; levels are those along the tool [m]."""
+    """The strokes of a hole; levels are measured along the tool [m]."""
 
-    retract: float  #: Where the feed begins.
+    retract: float  #: Level at which the feed begins.
     bottom: float
-    clear: float  #: Where the tool has left the hole.
-    pecks: Sequence[float] = ()  #: Where the tool turns back before the bottom.
-    #: Whether it retracts after each peck only by ``gap``, or comes back as near to the last one.
+    clear: float  #: Level at which the tool has left the hole.
+    pecks: Sequence[float] = ()  #: Levels above the bottom at which the tool turns back.
+    #: Whether it retracts after each peck only by ``gap``; otherwise it leaves the hole, and
+    #: returns to ``gap`` above the last peck.
     breaks: bool = False
     gap: float = 0.0
-    feeds_back: bool = False  #: Whether it comes back from each peck by feed.
+    feeds_back: bool = False  #: Whether it retracts from each peck at feed.
     rests: bool = False
-    dwell: float = 0.0  #: How long it rests at the bottom, on machines that can [s].
+    dwell: float = 0.0  #: Dwell at the bottom, on machines that support it [s].
     waits: bool = False  #: Whether an operator retracts the tool.
-    out: float | None = None  #: Level up to which it comes back by feed; None: in a rapid.
-    shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
-    #: Feeds into the hole and out of it [m/s]; None: that of the program, and that into it.
+    out: float | None = None  #: Level up to which it retracts at feed; None for a rapid.
+    shift: FloatArray | None = None  #: (3,): Shift of the tool at the bottom [m].
+    #: Feeds into the hole and out of it [m/s]; None: programmed feed, and feed into the hole.
     feed: float | None = None
     feed_out: float | None = None
-    reverse: str = ''  #: How the spindle leaves a tapped hole: M4, or M3 for a left-hand thread.
+    reverse: str = ''  #: Spindle word for leaving a tapped hole: M4, or M3 for a left-hand thread.
 
     def strokes(self) -> Iterator[tuple[float, int, bool, float]]:
-        """Yield the level, kind, whether it is moved aside, and the stop at the end of strokes."""
+        """Yield level, kind, whether the tool is shifted, and the stop at the end, per stroke."""
         for peck in self.pecks:
             yield peck, INTO, False, 0.0
             if not self.breaks:
@@ -72,7 +74,7 @@ def pecks_of(
     fault: Callable[[str], ProgramError],
     then: Callable[[float, float], float] | None = None,
 ) -> list[float]:
-    """Return the levels of pecks [m]; ``then``: a stroke by the one before and what is left."""
+    """Return the levels of pecks [m]; ``then``: next stroke from the last one and the rest."""
     depth, done, stroke, levels = top - bottom, first, first, list[float]()
     while depth - done > _NOTHING:
         levels.append(top - done)
@@ -125,7 +127,7 @@ def make_hole(
 
 
 def dwell_of(mover: Mover, code: str, time: float, text: str = '.') -> float:
-    """Return the time of a dwell [s]; without a point P counts as the control has it."""
+    """Return the time of a dwell [s]; the control defines the unit of P without a point."""
     fanuc, sure = mover.dialect is FANUC, '.' in text or mover.dialect in (FANUC, LINUXCNC)
     kept = 'G4' in mover.geometry.machine.signals.words
     if time and not (kept and sure):
@@ -264,7 +266,7 @@ class CannedCycle:
         return dwell_of(mover, self.code, time, self._texts.get('P', ''))
 
     def _shift(self, mover: Mover) -> FloatArray | None:
-        """Return how G76 and G87 move the tool aside, shape (3,) [m]; None: not at all."""
+        """Return the shift of the tool in G76 and G87, shape (3,) [m], or None."""
         if self.code not in _SHIFTING:
             return None
         if not {'I', 'J', 'K'} & self._sticky.keys():
@@ -300,7 +302,7 @@ PATTERNS = {'HOLES1', 'HOLES2'}
 SIEMENS_WORDS = {'MCALL', 'CYCLE80', *SIEMENS, *PATTERNS}
 _SIEMENS_TAPPING = {'CYCLE84', 'CYCLE840'}
 _SIEMENS_FEED_OUT = {*_SIEMENS_TAPPING, 'CYCLE85', 'CYCLE89'}
-#: How far the tool goes back to break the chip, and how near it comes again [m].
+#: Retract to break the chip, and gap to the last peck on return [m].
 _BREAK, _NEAR, _NEAR_SHARE, _NEAR_MOST = 1.0 * MM, 0.6 * MM, 0.02, 7.0 * MM
 _MOST_HOLES = 10_000
 
@@ -372,7 +374,7 @@ class SiemensCycle:
         make_hole(mover, hole, here, axis)
 
     def _feed(self) -> float | None:
-        """Return the feed into the hole [m/s]: FFR, or pitch by speed; None: the modal one."""
+        """Return the feed into the hole [m/s]: FFR, or pitch times speed; None: modal feed."""
         unit, speed = self._mover.unit, self._mover.spindle_speed
         if self.name == 'CYCLE85':
             return self._value(6) * unit / MINUTE

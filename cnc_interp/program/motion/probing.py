@@ -1,7 +1,8 @@
 """Probing: G38.2 to G38.5, G31 of Fanuc and MEAS of Siemens, from rest, until the probe answers.
 
-A live program is read to the probe, run, and read on (``ProgramStream.go_on``): the place is in
-#5061 to #5066, and #5070 is 1. Elsewhere the probe counts as if it had answered at the end.
+In a live run the program is read up to the probe, executed, and then read further
+(``ProgramStream.go_on``): #5061 to #5066 hold the contact, and #5070 is 1. Otherwise the probe is
+assumed to answer at the end of its move.
 """
 
 import re
@@ -22,8 +23,8 @@ from cnc_interp.program.text.words import BlockWords
 
 
 class ProbeCode(NamedTuple):
-    word: str  #: The function of the machine that makes the probe ready.
-    must_answer: bool  #: Whether it is a fault if the probe does not answer.
+    word: str  #: Function of the machine that arms the probe.
+    must_answer: bool  #: Whether a missing answer of the probe is a fault.
 
 
 CODES = {
@@ -35,8 +36,8 @@ CODES = {
     'MEAS=1': ProbeCode(TOWARD, False),
     'MEAS=-1': ProbeCode(AWAY, False),
 }
-ANSWERED, PLACE = 5070, 5061  #: The first variables of the answer, and of the place.
-SHORTEST = 1e-6  #: A shorter way is none [m].
+ANSWERED, PLACE = 5070, 5061  #: First variables of the answer, and of the contact.
+SHORTEST = 1e-6  #: A shorter way counts as zero [m].
 NO_PROBE = 'the machine file has no probe; give its signals the input, output and words of a probe'
 AT_ONCE = 'the probe had answered before it moved; free it'
 ASSUMED = 'a plan counts the end of the line as the place where the probe answers'
@@ -45,10 +46,10 @@ ASSUMED = 'a plan counts the end of the line as the place where the probe answer
 @dataclass(frozen=True)
 class Probe:
     code: str
-    line: int  #: Of the main program.
+    line: int  #: Line of the main program.
 
     def fault(self, answered: bool, at_once: bool) -> str:
-        """Return why the program cannot go on after the line; empty if it can."""
+        """Return why the program cannot continue after the line; empty if it can."""
         if at_once:
             return f'line {self.line}: {self.code}: {AT_ONCE}'
         if answered or not CODES[self.code].must_answer:
@@ -110,11 +111,11 @@ class Parameter:
 @dataclass(frozen=True)
 class Cycle:
     name: str
-    text: str  #: What it finds, and what it sets.
+    text: str  #: Description: what it measures, and what it sets.
     parameters: tuple[Parameter, ...]
 
     def line(self, values: Mapping[str, float]) -> str:
-        """Return the line by hand that runs it; InterpError for a value that it does not know."""
+        """Return the MDI line that runs it; InterpError for an unknown value."""
         known = {parameter.name: parameter.default for parameter in self.parameters}
         for name, value in values.items():
             if name not in known or not isfinite(value):

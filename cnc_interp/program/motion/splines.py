@@ -16,7 +16,7 @@ from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.words import BlockWords
 
-#: Names of words for curves and second points; they are written with an equals sign.
+#: Words for curves and second points, written with an equals sign.
 _SECOND = ('XH', 'YH', 'ZH')
 CURVE_WORDS = frozenset((*_SECOND, 'PL', 'SD', 'PW'))
 _SHORTEST_TOOL = 1e-6  #: Smallest distance between tip and second point [m].
@@ -24,12 +24,12 @@ _SHORTEST_TOOL = 1e-6  #: Smallest distance between tip and second point [m].
 _SAME, _SAME_AXIS = 1e-9, 1e-6
 _LEAST_POINTS = 4
 NO_SECOND = 'give XH YH ZH, all three at first, as a point above X Y Z'
-#: A knot that is repeated this often makes the curve pass through a control point.
+#: Multiplicity of a knot at which the curve passes through a control point.
 _MOST_REPEATED = 3
 
 
 class ProgrammedCurve:
-    """The control points of one curve; ``height``: of second points that are not named [m]."""
+    """The control points of one curve; ``height``: of second points not programmed [m]."""
 
     def __init__(
         self,

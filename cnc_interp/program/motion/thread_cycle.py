@@ -12,9 +12,9 @@ MOST_PASSES = 1000
 
 
 def cut_thread(mover: Mover, words: BlockWords) -> None:
-    """Cut beside the line from here along Z; I is the crest, J the first cut, K the whole depth.
+    """Cut a thread beside the line along Z; I is the crest, J the first cut, K the full depth.
 
-    Pass n cuts J n^(1/R) deep, and enters by as much along Z as the angle Q asks for.
+    Pass n cuts to the depth J n^(1/R), and is shifted along Z according to the angle Q.
     """
     values, unit = words.values, mover.unit
     mover.demand(mover.plane == 'G18', 'cuts along Z, away from X; write G18 before', CODE)

@@ -1,4 +1,4 @@
-"""Tilted working planes: a frame in space, and the tool turned to stand upright on it.
+"""Tilted working planes: a frame in space, on which the tool is turned upright.
 
 G68.2 to G68.4 and CYCLE800 define the frame; G53.1, G53.3, G53.6 and CYCLE800 turn the tool. Then
 X Y Z are positions of the tip in the plane until G69 (``docs/how_it_works/tilted_planes.md``).
@@ -15,13 +15,13 @@ from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text.words import BlockWords
 
-#: Codes that define a plane, and these with those that turn the tool to it.
+#: Codes that define a plane; these together with codes that turn the tool to it.
 DEFINING = {'G68', 'G68.2', 'G68.3', 'G68.4'}
 CODES = DEFINING | {'G53.1', 'G53.3', 'G53.6'}
-#: Orders of rotations: about turned axes (Euler), and about axes at rest.
+#: Orders of rotations: about turned axes (Euler), and about fixed axes.
 EULER = (313, 323, 121, 131, 212, 232)
 FIXED = (123, 132, 213, 231, 312, 321)
-SMALL = 1e-6  #: Below this two directions count as parallel, or as at right angles [-].
+SMALL = 1e-6  #: Tolerance for parallel and perpendicular directions [-].
 #: Where CYCLE800 has its arguments: after retract and name of the swivel data come these.
 STATE, MODE, BEFORE, ANGLES, AFTER, DIRECTION = 2, 3, slice(4, 7), slice(7, 10), slice(10, 13), 13
 BY_AXES, SOLID, PROJECTED, DIRECT = range(4)  #: Kinds of angles of CYCLE800.
@@ -31,11 +31,11 @@ class TiltedPlane:
     def __init__(self, mover: Mover):
         self._mover, self.notice = mover, mover.notice
         self.fault, self.demand, self.refuse_if = mover.fault, mover.demand, mover.refuse_if
-        #: Points, or directions, of a plane that takes several blocks (P2, P3), by their number.
+        #: Points or directions of a plane defined by several blocks (P2, P3), by number.
         self.parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
 
     def refuse_gaps(self, codes: Sequence[str]) -> None:
-        """Refuse other words before all blocks of a plane are there."""
+        """Refuse other words until all blocks of a plane have been read."""
         self.refuse_if(
             self.parts and not DEFINING & set(codes),
             'the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
@@ -85,7 +85,7 @@ class TiltedPlane:
         return turn
 
     def _projected(self, angles: FloatArray) -> FloatArray:
-        """Return the plane through X turned about Y by I and Y turned about X by J; K turns it."""
+        """Return the plane of X turned about Y by I, and Y turned about X by J; K turns it."""
         along, beside = rotation(1, angles[0])[:, 0], rotation(0, angles[1])[:, 1]
         normal = np.cross(along, beside)
         return self.plane_of(along, normal) @ rotation(2, angles[2])
@@ -149,7 +149,7 @@ class TiltedPlane:
         mover.set_oriented(True)
 
     def _set(self, code: str, origin: FloatArray, turn: FloatArray, angle: float) -> None:
-        """Use a frame, turned by an angle about its own Z; G68.4 counts from the frame so far."""
+        """Set a frame, turned about its own Z; G68.4 is relative to the present frame."""
         self.parts.clear()
         frames = self._mover.frames
         if code != 'G68.4':
@@ -188,7 +188,7 @@ class TiltedPlane:
         self.stand_up(code, int(choice), words)
 
     def stand_up(self, code: str, choice: int, words: BlockWords, table: bool = False) -> None:
-        """Turn the rotary axes; ``choice`` as P of G53.1, and ``code`` tells what stays."""
+        """Turn the rotary axes; ``choice`` as P of G53.1; ``code``: which point stays."""
         mover = self._mover
         mover.rotary_of_vector()
         rotary = self.solution(choice, code, table)
@@ -207,7 +207,7 @@ class TiltedPlane:
             mover.switch_tcp(tcp)
 
     def solution(self, choice: int, code: str, table: bool = False) -> FloatArray:
-        """Return rotary positions; an axis that any position does stays, or lays X along X."""
+        """Return rotary positions; an undetermined axis stays, or aligns X of both frames."""
         mover, (along, _, normal) = self._mover, self._mover.frames.turn.T
         if not mover.rotary_letters:
             self.demand(

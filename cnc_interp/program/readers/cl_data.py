@@ -39,7 +39,7 @@ _ALONG_ARC = re.compile(
 )
 _STATEMENT = re.compile(r'([A-Z][A-Z0-9_]*)\s*(?:/\s*(.*)|(.*))')
 
-#: Stands for a statement that the end of the file cuts off.
+#: Marks a statement that is cut off by the end of the file.
 _UNENDED = '$'
 _NO_FEED = (
     'no feedrate (FEDRAT) before the first cutting GOTO; write it, or choose one (settings, '
@@ -342,7 +342,7 @@ class ClReader:
         self._notice(said.major, text)
 
     def _enter_system(self, said: Statement) -> None:
-        """Enter a system by its numbers, or by a name that does not tell where it lies."""
+        """Enter a coordinate system by its numbers, or by a name without known location."""
         system = system_of(_numbers_of(said.minor))
         other = self._system != said.minor if system is None else moves(system)
         self._demand(not (self._system and other), cl_words.OFF_ONLY['ORIGIN'], said.major)

@@ -1,7 +1,7 @@
-"""The words of CL data, with a reason where they are refused; drilling cycles, and frames.
+"""The words of CL data, with reasons for refused ones; drilling cycles and frames.
 
 ``CYCLE/DRILL,FEDTO,d,MMPM,f,RAPTO,c,RTRCTO,r`` drills at the next GOTO points until ``CYCLE/OFF``.
-The first system of MSYS or CSYS is that of the workpiece; points of others are taken into it.
+The first system of MSYS or CSYS is that of the workpiece; points of others are converted to it.
 """
 
 import re
@@ -68,7 +68,7 @@ NOTICES = {
     'compensated',
 }
 INFORMATION = 'CSI_'  #: Words with this beginning are information of a CAM system.
-#: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
+#: Words that switch outputs or name the tool; a start in the middle reports their state.
 OUTPUTS = {'COOLNT', 'DELAY', 'DWELL', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.
 STOPS = {
@@ -114,7 +114,7 @@ LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}
 FEED_UNITS = {'MMPM': MM, 'IPM': INCH, 'PERMIN': 0.0}
 
 
-#: What statements tell on a machine without an output for them.
+#: Notices of statements on a machine without an output for them.
 NO_OUTPUT = {'SPINDL': codes.NO_SPINDLE, 'COOLNT': codes.NO_COOLANT}
 
 
@@ -132,7 +132,7 @@ def machine_words(major: str, minor: str) -> tuple[list[str], dict[str, float]]:
     return (['T', 'M6'], {'T': numbers[0]}) if major == 'LOADTL' and numbers else ([], {})
 
 
-#: Kinds of cycles: those that come back by feed, that turn back after pecks, and that rest.
+#: Kinds of cycles: with retract at feed, with pecks, and with a dwell.
 _FEED_OUT, _PECKING = {'TAP', 'BORE', 'REAM', 'BORE8'}, {'DEEP', 'DEEP2', 'BRKCHP', 'CHIPBR'}
 KINDS = {'DRILL', 'FACE', 'CSINK', 'CDRILL', 'SPOTDRILL', *_FEED_OUT, *_PECKING}
 _VALUES = {
@@ -150,7 +150,7 @@ _VALUES = {
     'SUBPECK': 'next',
     'DWELL': 'dwell',
 }
-_NEAR = 0.5 * MM  #: How near the tool comes to the last peck in a rapid [m].
+_NEAR = 0.5 * MM  #: Gap above the last peck at which a rapid ends [m].
 
 
 def cycle_of(minor: str, unit: float, fault: Callable[[str, str], ProgramError]) -> Hole:
@@ -198,16 +198,16 @@ def cycle_of(minor: str, unit: float, fault: Callable[[str, str], ProgramError])
 def way_to(
     here: FloatArray, place: FloatArray, axis: FloatArray, retract: float
 ) -> FloatArray | None:
-    """Return where to rise to first, if the tool stands below the retract level of a hole."""
+    """Return the point to which a tool below the retract level of a hole must first rise."""
     below = float((place - here) @ axis) + retract
     across = float(np.linalg.norm(np.cross(place - here, axis)))
     return here + below * axis if below > 1e-9 and across > 1e-9 else None
 
 
-#: How far the axes of a system may be from right angles [-].
+#: Largest accepted error of right angles between the axes of a system [-].
 _ROUNDED = 1e-4
 _COPY = re.compile(r'(\d+)\s*(?:,\s*(SAME|TRANSL|XYROT|YZROT|ZXROT)\s*((?:,\s*[-+.\dE]+\s*)*))?')
-_MOST_COPIES = 10_000  #: A part of a program is copied at most so many times.
+_MOST_COPIES = 10_000  #: Largest number of copies of a program part.
 
 IDENTITY = '1,0,0,0,0,1,0,0,0,0,1,0'  #: A system that moves nothing.
 

@@ -17,9 +17,9 @@ from cnc_interp.program.text.words import split_words, without_comments
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+(?:\.\d*)?\s*)?(/\d?\s*)?(?:N\s*\d+(?:\.\d*)?\s*)?')
 #: A length or an angle without a decimal point; codes of units and of canned cycles.
-#: Names are matched, too, so that their letters stay as they are.
+#: Names are matched as well, so that their letters are kept.
 _NO_POINT = re.compile(r'<[^<>]*>|[A-Z_]{2,}\w*|([ABCIJKQRUVWXYZ])\s*([-+]?\d+)(?![\d.]|\s*=)')
-#: What a comment tells the operator, and parameters in it.
+#: Comments with messages to the operator, and parameters in them.
 _MESSAGE = re.compile(r'\(\s*(?:DEBUG|PRINT|MSG)\s*,([^)]*)\)', re.IGNORECASE)
 _PARAMETER = re.compile(r'#(\d+|<[^<>]+>)')
 _UNIT, _CYCLE = re.compile(r'G2[01](?!\d)'), re.compile(r'G(?:7[346]|8[1-9])(?!\d)')
@@ -105,7 +105,7 @@ class GcodeReader(ProgramReader):
         self.mover.notices.once(text, self.flow.line_number, text)
 
     def _with_points(self, line: str) -> str:
-        """Write lengths and angles of a line that count increments with a decimal point."""
+        """Rewrite lengths and angles given in increments with a decimal point."""
         unit = _UNIT.search(line)
         inch = unit[0].endswith('0') if unit else self.mover.unit == INCH
         counts = self.at.cycle is not None or _CYCLE.search(line)  # K of a cycle

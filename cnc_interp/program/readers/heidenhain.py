@@ -1,4 +1,4 @@
-"""Heidenhain plain text: its lines become words that the reader of G-code executes."""
+"""Heidenhain plain text: its lines are converted to words that the G-code reader executes."""
 
 import re
 from cmath import exp, phase
@@ -44,7 +44,7 @@ from cnc_interp.program.text.expressions import OPERATORS, ExpressionError, form
 from cnc_interp.program.text.source import LineStart
 from cnc_interp.program.text.words import BlockWords
 
-#: A form of a line, and what it does.
+#: Pattern of a line, and its function.
 _Form = tuple[re.Pattern[str], Callable[['HeidenhainReader', re.Match[str]], None]]
 
 
@@ -183,7 +183,7 @@ class HeidenhainReader(ProgramReader):
         self.mover.unit = INCH if match[1] else MM
 
     def _idle(self, _: re.Match[str]) -> None:
-        """Pass a line that moves nothing."""
+        """Skip a line without effect."""
 
     def _stop(self, match: re.Match[str]) -> None:
         self._move('L', match[1], stop='M0')
@@ -488,7 +488,7 @@ class HeidenhainReader(ProgramReader):
         for letter, angle in zip(self.mover.rotary_letters, self._frames.found, strict=False):
             self.variables.set_name(f'Q12{"ABC".index(letter)}', angle / DEG)
 
-    #: What defines each cycle; those of older controls have a line for each of their parts.
+    #: Functions that define each cycle; cycles of older controls have a line for each part.
     _OF_PARTS: ClassVar = {7, 8, 10, 11, 19, 26}
     _CYCLES: ClassVar[dict[int, Callable[..., None]]] = {
         **dict.fromkeys((7, 10, 19), _define_frame),
@@ -498,7 +498,7 @@ class HeidenhainReader(ProgramReader):
         9: _define_dwell,
         32: _define_tolerance,
     }
-    #: What lines of each form do: those that change the order of lines, and all others.
+    #: Functions of the line patterns: those that change the order of lines, and all others.
     _FLOW: ClassVar[tuple[_Form, ...]] = (
         (LABEL, _pass_label),
         (CALL, _call),

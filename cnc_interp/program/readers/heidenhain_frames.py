@@ -1,6 +1,6 @@
-"""Frames of Heidenhain, each in the one before: datum shift (cycle 7), planes, rotation (10).
+"""Frames of Heidenhain, each relative to the last: datum shift (cycle 7), planes, rotation (10).
 
-Mirroring (8) and scaling (11, 26) are about the zero of these frames, and the innermost ones.
+Mirroring (8) and scaling (11, 26) are about the zero of these frames, and are applied innermost.
 """
 
 from collections.abc import Mapping, Set
@@ -16,7 +16,7 @@ from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.motion.tilted_plane import TiltedPlane
 from cnc_interp.program.text.words import BlockWords
 
-#: The angles of a plane, each about the axis with this number, from the last one to the first.
+#: Axis numbers for the angles of a plane, from the last rotation to the first.
 _TURNS = {
     'SPATIAL': {'SPC': 2, 'SPB': 1, 'SPA': 0},
     'EULER': {'EULPR': 2, 'EULNU': 0, 'EULROT': 2},
@@ -32,7 +32,8 @@ class HeidenhainFrames:
         self._turn: FloatArray | None = None
         self._angle = 0.0
         self.angles: dict[str, float] = {}
-        #: Whether the rotary axes still have to turn to the plane, and where (Q120 to Q122) [rad].
+        #: Whether the rotary axes must still turn to the plane, and their targets (Q120-Q122)
+        #: [rad].
         self._waits, self.found = False, mover.rotary
 
     def shift(self, values: Mapping[str, float]) -> None:
@@ -122,7 +123,7 @@ class HeidenhainFrames:
     def tilt(
         self, kind: str, values: Mapping[str, float], way: str, choice: int, table: bool
     ) -> None:
-        """Process PLANE: the axes go there (MOVE, TURN), or stand there by words (STAY)."""
+        """Process PLANE: the axes move there (MOVE, TURN), or by later words (STAY)."""
         if kind == 'RESET':
             self._tilted.cancel()
             self._turn, self._waits = None, False
@@ -203,7 +204,7 @@ class HeidenhainFrames:
         return bool(self._mover.tool_axis @ self._mover.frames.turn[:, 2] > 1.0 - 1e-9)
 
     def before(self, named: Set[str], machine: bool) -> None:
-        """Prepare for words; X Y Z of the plane need the tool upright on it."""
+        """Prepare for words; X Y Z in the plane require that the tool is upright on it."""
         mover = self._mover
         turns = machine or not named.isdisjoint(mover.rotary_letters)
         if turns and mover.tcp == ORIENTED:

@@ -14,14 +14,14 @@ from cnc_interp.program.motion.cycles import Hole, dwell_of, go_along, make_hole
 from cnc_interp.program.text.expressions import formula
 from cnc_interp.program.text.words import BlockWords
 
-#: Where the tool of cycle 204 moves aside, by Q214; a smaller circle is none [m].
+#: Direction in which the tool of cycle 204 is shifted, by Q214; smallest circle [m].
 _SIDES, _SAME = {1.0: (-1, 0), 2.0: (0, -1), 3.0: (1, 0), 4.0: (0, 1)}, 1e-9
-#: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
+#: Gap to the last peck on return, and retract to break a chip [m].
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
 
 
 class HeidenhainHoles:
-    """Its sizes are Q parameters. ``execute``: carries out the words of a block."""
+    """Holes by cycles, whose sizes are Q parameters; ``execute``: executes the words."""
 
     def __init__(self, at: Execution, execute: Callable[[BlockWords], None]):
         self.at, self.mover, self.variables, self.execute = at, at.mover, at.variables, execute
@@ -103,7 +103,7 @@ class HeidenhainHoles:
         make_hole(mover, hole, here, axis)
 
     def _bore(self, of: Callable[[str], float]) -> None:
-        """Bore back (204), the tool beside the axis on its way; mill a hole (208)."""
+        """Back-bore (204) with a shifted tool, or mill a hole (208)."""
         mover, unit, (a, b, axis) = self.mover, self.mover.unit, PLANES[self.mover.plane]
         name, kept, here = f'CYCL DEF {self.cycle}', mover.feedrate, mover.here()
         surface, gap = of('Q203') * unit, of('Q200') * unit

@@ -1,4 +1,4 @@
-"""The words of Heidenhain plain text, and what those that are only named mean."""
+"""The words of Heidenhain plain text, and the meaning of words without a value."""
 
 import re
 
@@ -31,7 +31,7 @@ SETTING = {
     239: 'the load has no effect',
     392: 'the tuning has no effect',
 }
-CONDITIONS = {9: '==', 10: '<>', 11: '>', 12: '<'}  #: Of FN 9 to FN 12.
+CONDITIONS = {9: '==', 10: '<>', 11: '>', 12: '<'}  #: Conditions of FN 9 to FN 12.
 IDLE_M = {
     'M94',
     'M97',
@@ -54,9 +54,9 @@ IDLE_M = {
     'M148',
     'M149',
 }
-#: Those that mean something here only.
+#: M codes with a meaning only in this dialect.
 OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
-#: Those that say what codes of G-code do.
+#: M codes that correspond to codes of G-code.
 AS_CODES = {
     'M91': ['G53'],
     'M136': ['G95'],

@@ -15,7 +15,7 @@ from cnc_interp.program.text import scan
 from cnc_interp.program.text.control_traits import PLAIN
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
-SHORTEST = 6  #: Shorter runs are as fast line by line.
+SHORTEST = 6  #: Least number of lines for which this is faster than line by line.
 
 
 def _filled(values: FloatArray, first: float) -> FloatArray:
@@ -25,7 +25,7 @@ def _filled(values: FloatArray, first: float) -> FloatArray:
 
 
 def move_along(at: Execution, code: NDArray[np.int8], values: FloatArray, lines: IntArray) -> bool:
-    """Execute plain lines; False, with nothing changed, where the general reader must do it."""
+    """Execute plain lines; return False, and change nothing, if the general reader is needed."""
     mover = at.mover
     if (
         at.cycle is not None

@@ -1,4 +1,4 @@
-"""What readers of lines share: the order of lines, loops and calls, refusals, and start lines."""
+"""Base of line readers: order of lines, loops and calls, refusals, and start lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cnc_interp.program.text.words import BlockWords
 
 
 class ProgramReader(ABC):
-    """Turns lines into words; what these do is in ``execution/``."""
+    """Converts lines to words, which ``execution/`` carries out."""
 
     def __init__(self, at: Execution):
         self.at, self.flow, self.settings = at, at.flow, at.settings

@@ -1,1 +1,1 @@
-"""The text of a program: lines, words, expressions, loops and calls, and whose dialect it is."""
+"""The text of a program: lines, words, expressions, loops and calls, and its dialect."""

@@ -15,13 +15,13 @@ LENGTH_CODES = LENGTH | TCP_BY_LENGTH
 TCP_ON_WORDS = 'M428, M128, G43.4, G43.5, G234, TRAORI or #TRAFO ON'
 
 THREAD_CYCLE = 'G76 of LinuxCNC'
-EXTRUDING = {'G1', 'G2', 'G3', 'G92'}  #: Beside which E is the filament of a printer.
+EXTRUDING = {'G1', 'G2', 'G3', 'G92'}  #: Codes with which E is the filament of a printer.
 RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
-#: What the words G41 and G42 of Siemens compensate: in the plane, or along normals in space.
+#: Siemens words that select the compensation of G41 and G42: in the plane, or along normals.
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
 CYCLES = {'G73', 'G74', 'G76', 'G84.2', 'G84.3', *(f'G{number}' for number in range(81, 90))}
 
-#: What a start of the spindle is told as, because the tool moves all the same.
+#: Notice of a spindle start without an output, because the tool moves nevertheless.
 NO_SPINDLE = (
     f'{WARNING}the spindle is NOT started, the machine file has no output for it; write '
     'signals: milling there, or start the spindle by hand before the tool cuts'
@@ -38,13 +38,13 @@ NO_LENGTHS = (
     f'{WARNING}no tool lengths are known (--setup), they are taken as zero; a machine rejects '
     'this program until its tools are in the table'
 )
-#: What M codes tell on a machine without an output for them.
+#: Notices of M codes on a machine without an output for them.
 NO_OUTPUT = {'M3': NO_SPINDLE, 'M4': NO_SPINDLE, 'M7': NO_COOLANT, 'M8': NO_COOLANT}
 NO_NUMBER = (
     f'{WARNING}NOT executed, the machine file has no signal for {{}}; declare it under signals, '
     'as digital_out_0, analog_out_0, digital_in_0'
 )
-#: What M62 to M68 lack, and M66.
+#: Requirements that M62 to M68, and M66, may lack.
 NO_SUCH_NUMBER = (
     'give the number of the output as P, with M67 and M68 as E',
     'give the number of the input as P, and what to wait for as L3 (on) or L4 (off)',
@@ -69,7 +69,7 @@ OTHER_MEANING: dict[str, tuple[str, str]] = {
 }
 #: Work offsets with H: a tool length on Okuma, two words without relation elsewhere.
 OKUMA_LENGTH = 'with H it is a tool length of Okuma; write G43 H, or H in another block'
-#: G10 that controls read differently: what is done with it.
+#: Treatment of G10 words that controls interpret differently.
 G10_CONFLICTS = {
     'incremental': 'with G91 Fanuc adds to the value, LinuxCNC sets it; write G90 before',
     'L2 P0': 'P0 is the active work offset on LinuxCNC, the external one on Fanuc; write P1 to P9',
@@ -92,12 +92,12 @@ REFUSED_G: dict[str, str] = {
     **dict.fromkeys(('G110', 'G111'), f'polar coordinates are not supported; {_LINEAR}'),
 }
 
-#: Of stops before the first motion, M1 and M0.
+#: Notices of stops before the first motion, M1 and M0.
 NOT_YET = 'before the first motion nothing waits'
 WAITS_FIRST = 'the machine waits for cycle start before it goes to the start of the path'
 DWELL = 'exact stop; the dwell time is not kept'
 ANY_DWELL = 'P is seconds or ms; its time is not kept, choose --dialect or write X'
-#: What arcs tell that fit in one way only, by keys of ``arcs.FAULTS``.
+#: Notices of arcs that fit in one interpretation only, by keys of ``arcs.FAULTS``.
 CENTRES_TOLD = {
     8: 'taken as the place of the centre, the arcs fit only so; as --arc-centres absolute',
     9: 'taken from the centre to the start, the arcs fit only so; as --arc-centres reversed',
@@ -110,7 +110,7 @@ RETURN_M = {'M17', 'M99'}
 ACTING_M = END_M | STOP_M.keys() | RETURN_M | {'M61', 'M98'}
 #: M codes that act before the others of their block, in this order.
 FIRST_M = {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
-#: Outputs of the machine that M codes switch, each with the code that holds afterwards.
+#: Outputs that M codes switch, with the code that is active afterwards.
 OUTPUTS: dict[str, dict[str, str]] = {
     **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')},
     'M7': {'mist': 'M7'},
@@ -215,7 +215,7 @@ HARMLESS_KEYS = {
 IDLE_LETTERS = {'G187': 'PE', 'G103': 'P', 'G54.2': 'P'}
 #: Names of Siemens that are set in a block and do not move the tool; so are S1= and M1=.
 HARMLESS_NAMES = {'SPOS', 'SPOSA', 'LIMS', 'ADIS', 'ADISPOS', 'STOLF', 'DISCL', 'FGREF'}
-#: Names of Siemens that change path or feed, with what to do.
+#: Siemens names that change path or feed, with advice.
 REFUSED_NAMES: dict[str, str] = {
     **dict.fromkeys(
         ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'),

@@ -1,4 +1,4 @@
-"""Dialects: the form of a text, and what its words mean where controls differ."""
+"""Dialects: the form of a text, and the meaning of words that differ between controls."""
 
 import re
 from dataclasses import dataclass, replace
@@ -21,16 +21,16 @@ from cnc_interp.settings.options import Settings
 class Dialect:
     name: str
     title: str
-    starts_with: int | None = None  #: The motion code after a reset (0 to 3); None: none.
+    starts_with: int | None = None  #: Motion code after a reset (0 to 3), or None.
     #: Whether the line of G41 or G42 ends beside its own end, else beside the start of the next.
     own_entry: bool = False
-    #: Whether an incremental word after a new frame runs through the shift, too (SD42440).
+    #: Whether an incremental word after a new frame also runs through its shift (SD42440).
     runs_shifts: bool = False
-    feeds_first: bool = False  #: Whether F counts in the unit before G20 or G21 of its block.
-    turns_in_cycles: bool = True  #: Whether rotary words may stand in a canned cycle.
+    feeds_first: bool = False  #: Whether F has the unit in effect before G20 or G21 of its block.
+    turns_in_cycles: bool = True  #: Whether rotary words are allowed in a canned cycle.
     machine_axes: bool = False  #: Whether G53 means axis positions with tool-tip programming on.
-    is_sure: bool = True  #: Whether words of two meanings have that of this control.
-    #: How operators without brackets are read; where the readings differ, the line is refused.
+    is_sure: bool = True  #: Whether ambiguous words have the meaning of this control.
+    #: Readings of operators without brackets; the line is refused if they differ in value.
     readings: tuple[Reading, ...] = (USUAL,)
 
 
@@ -99,12 +99,12 @@ _COMMENT = re.compile(
     re.I,
 )
 
-#: Lines with words of all controls only. A sign stands for each, so lines keep their numbers.
+#: Lines that only have words of all controls; each is replaced by a sign, so lines keep numbers.
 _COMMON = re.compile(
     r'^[ \t]*(?:(?:G\d\d?(?![\d.])|[A-FH-NR-Z][ \t]*[-+]?[\d.]+)[ \t\r]*)+$', re.M
 )
 _HEAD_LINES = 2000
-#: What the first line with words begins with, in each form.
+#: Begin of the first line with words, in each form.
 _FORMS = {
     'heidenhain': re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.I),
     'cl': re.compile(

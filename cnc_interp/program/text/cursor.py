@@ -17,12 +17,12 @@ _PERCENT = re.compile(rb'(?m)^[ \t]*%')
 
 @dataclass(frozen=True)
 class Structure:
-    """How a dialect writes the words of a structure, with patterns of what stands around them."""
+    """The words of a structure in a dialect, with patterns of their surroundings."""
 
-    label: str = ''  #: Tells it from others, as the number of an O word; empty: they nest.
+    label: str = ''  #: Identifier, as the number of an O word; empty if structures nest.
     before: str = ''
     after: str = r'(?![A-Z_])'
-    #: Patterns of its first and last word where they are not those of ``flow.py``.
+    #: Patterns of its first and last word, if they differ from ``flow.py``.
     head: str = ''
     end: str = ''
 
@@ -31,8 +31,8 @@ class Structure:
 class Loop:
     label: str
     begin: LineStart  #: The line of its head.
-    rounds: int = 0  #: Those that remain, the present one included.
-    word: str = ''  #: Its first word; and how its words are written.
+    rounds: int = 0  #: Remaining rounds, including the present one.
+    word: str = ''  #: Its first word, and the form of its words.
     what: Structure | None = None
 
 
@@ -45,7 +45,7 @@ class _Call:
     rounds: int
     own_variables: bool
     loops: list[Loop]
-    #: What M70 or M73 saved, and whether the end of the subprogram restores it.
+    #: State saved by M70 or M73, and whether the end of the subprogram restores it.
     saved: Any = None
     restores: bool = False
 

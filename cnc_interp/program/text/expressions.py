@@ -1,7 +1,7 @@
 """Expressions of G-code: the grammar of lines with expressions, and their values.
 
-One grammar has LinuxCNC, Fanuc macro B, Siemens, and formulas of Heidenhain, where a function
-stands before its value and a sign binds first. Angles are in deg.
+One grammar covers LinuxCNC, Fanuc macro B, Siemens, and formulas of Heidenhain, in which a
+function precedes its value and a sign binds first. Angles are in deg.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ Q_FUNCTION: /[A-Z]+/
 """
 _TOO_DEEP = 'the expression is nested too deeply; use parameters'
 
-#: Places of axes that Siemens names, with the number of the first one; whether a probe answered.
+#: Siemens names for axis positions, with their first number; and for the answer of a probe.
 _PLACES = {'$AA_IW': 5041, '$P_EP': 5041, '$AA_IM': 5021, '$AA_MW': 5061}
 _ANSWERED = {'$AC_MEA[1]': 5070}
 _AXIS = re.compile(r'(\$\w+\s*\[\s*)([A-Z])(?=\s*\])')
@@ -265,7 +265,7 @@ def element_name(name: str, indices: tuple[Node, ...], variables: ProgramVariabl
 def elements_from(
     name: str, indices: tuple[Node, ...], series: Node, variables: ProgramVariables
 ) -> list[tuple[str, float]]:
-    """Return what SET(a,b,..) or REP(a,count) gives to an element and those after it."""
+    """Return the values that SET(a,b,..) or REP(a,count) gives to successive elements."""
     element, known = element_name(name, indices, variables), variables.elements(name)
     after = known[known.index(element) :] if element in known else [element]
     values = [_value(argument, variables) for argument in series[2:]]
@@ -310,10 +310,10 @@ _COMPARED = 'EQ NE GT GE LT LE == <> > >= < <='
 
 @dataclass(frozen=True)
 class Reading:
-    """How a control reads operators that stand side by side without brackets."""
+    """The rules of a control for operators without brackets."""
 
-    ranks: tuple[str, ...]  #: Operators of one rank each, those that bind first at the front.
-    changed: tuple[tuple[str, str], ...] = ()  #: Operators that mean what another name says.
+    ranks: tuple[str, ...]  #: Operators of each rank; those that bind first come first.
+    changed: tuple[tuple[str, str], ...] = ()  #: Operators with the meaning of another name.
 
     def rank(self, operator: str) -> int:
         return next(k for k, rank in enumerate(self.ranks) if operator in rank.split())
@@ -361,7 +361,7 @@ def _whole(value: float) -> int:
 
 
 def _at_half(value: float) -> float:
-    """Return a whole or half number but 0 for one beside it by rounding: SIN[30] is 0.5."""
+    """Round to a whole or half number other than 0 if very near, so that SIN[30] is 0.5."""
     nearest = round(2.0 * value) / 2.0
     near = nearest and abs(value - nearest) < 1e-15 * max(1.0, abs(value))
     return nearest if near else value
@@ -420,7 +420,7 @@ _CONSTANTS = {
 _MOST_VARIABLES = 100_000
 
 UNSET = 'is read before it is set; set it in the program'
-#: The first variable that a control sets itself, and those with its modal words.
+#: First variable that a control sets itself, and variables with modal words.
 OF_CONTROL, MODAL = 4001, range(4001, 4201)
 UNKNOWN = 'is not known here; write its value'
 

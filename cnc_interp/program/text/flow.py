@@ -1,6 +1,6 @@
-"""Statements that change the order of lines, as each dialect writes them; and subprograms.
+"""Statements of all dialects that change the order of lines, and subprograms.
 
-One machine executes the structures of all: a loop goes back to its head, which decides.
+All structures are executed in the same way: a loop returns to its head, which decides.
 """
 
 import re
@@ -28,7 +28,7 @@ _INNER_SUB = re.compile(rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?O\s*(?:\d+|<[^<>]+>)\s*SU
 G65_ARGUMENTS = dict(
     zip('ABCIJKDEFHMQRSTUVWXYZ', (*range(1, 10), 11, 13, *range(17, 27)), strict=True)
 )
-#: How Siemens writes the words of structures, and IF, which may be one line.
+#: Form of the words of structures of Siemens, and of IF, which may be one line.
 _NESTED = Structure(before=r'(?:[A-Z_][A-Z_]\w*\s*:(?!=)\s*)?', after=r'(?!\w|[ \t]*[=:\[])')
 _NESTED_IF = replace(_NESTED, head=r'IF(?![^;\n]*(?<!\w)(?:GOTO|THEN))')
 _KEYWORD = re.compile(
@@ -42,7 +42,7 @@ _NAME = re.compile(r'\s*([A-Z_]\w*)\s*(?:\[([^\]]*)\])?\s*(?:=(.*))?')
 _COMMAS = re.compile(r',(?![^(\[]*[)\]])(?![^"]*"(?:[^"]*"[^"]*")*[^"]*$)')
 _CALL = re.compile(r'(?:CALL\s*"([^"]+)"|([A-Z_][A-Z_]\w*|L\d+))\s*(?:P\s*=?\s*(\d+))?')
 _AXIS_NAME = re.compile(r'(?<![\w"])[XYZABCUVW](?![\w"])')
-_MOST_ELEMENTS = 10_000  #: More elements of an array are not set to 0 one by one.
+_MOST_ELEMENTS = 10_000  #: Largest number of array elements that are set to 0 one by one.
 #: The last word of each structure by its first one, and the reverse. WHILE also ends DO.
 ENDS = {
     'IF': 'ENDIF',
@@ -70,7 +70,7 @@ Call = tuple[int, int, dict[int, float] | None]
 
 class Flow(Cursor):
     def execute(self, line: str) -> str | None:
-        """Execute a flow statement; return what is left of the line after a label or THEN."""
+        """Execute a flow statement; return the rest of the line after a label or THEN."""
         if ':' in line and (match := _LABEL.match(line)):
             line = line[match.end() :]
             if not line:
@@ -269,7 +269,7 @@ class Flow(Cursor):
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
 
     def _arguments_of(self, words: BlockWords) -> dict[int, float]:
-        """Take the arguments of G65: where I J K begin anew, they are #7 #8 #9, and so on."""
+        """Take the arguments of G65; repeated I J K become #7 #8 #9, and so on."""
         given = [letter for letter in words.values if letter in G65_ARGUMENTS]
         found = {G65_ARGUMENTS[letter]: words.values.pop(letter) for letter in given}
         later, before = 0, ''
@@ -344,7 +344,7 @@ class Flow(Cursor):
         return self.loops[-1]
 
     def _enter(self, what: Structure, word: str, rest: str) -> None:
-        """Begin a loop, or its next round; go on after its end if there is none."""
+        """Begin a loop or its next round; continue after its end if there is no further round."""
         here = self.window.place(self.row)
         running = any(loop.begin == here for loop in self.loops)
         while running and self.loops[-1].begin != here:

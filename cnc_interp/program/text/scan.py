@@ -1,7 +1,7 @@
 """Plain lines of G-code to columns of numbers, in a compiled loop.
 
-A line with anything but an optional N, one of G0 to G3, and numbers after letters is rare:
-``words.py`` reads it. Each number is the nearest double: up to 15 digits over a power of ten.
+Plain lines have only an optional N, one of G0 to G3, and letters with numbers. All other lines are
+*rare* and left to ``words.py``. Each number (up to 15 digits) becomes the nearest double.
 """
 
 import numpy as np

@@ -18,7 +18,7 @@ from cnc_interp.program.text import scan
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
 _LONGEST_LINE = 1 << 16
-#: Characters that text does not have, but some programs hold a few of them from a tape.
+#: Characters that text does not contain, except for a few from tapes in some programs.
 _CONTROL = bytes({*range(32)} - {*b'\t\n\v\f\r\x1a'})
 _BYTE_ORDER_MARK = b'\xef\xbb\xbf'
 
@@ -204,7 +204,7 @@ SUBPROGRAM_SUFFIXES = (
 CL_SUFFIXES = frozenset(('.apt', '.cl', '.cls', '.ncl', '.aptsource'))
 #: Suffixes by which programs are found in a folder, in lower case.
 PROGRAM_SUFFIXES = CL_SUFFIXES | {'.ngc', '.nc', '.tap', '.mpf', '.cnc', '.gcode', '.h'}
-#: What may name a subprogram: ``o<name>``, or a number after O or P.
+#: Names of subprograms: ``o<name>``, or a number after O or P.
 _CALLED = re.compile(rb'[Oo]\s*<\s*([\w-]+)\s*>')
 _NUMBER = re.compile(rb'[OoPp]\s*(\d{1,9})(?!\d)')
 #: A number that is computed.

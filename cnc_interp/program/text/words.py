@@ -38,7 +38,7 @@ _CORNER_NAMES = {'R': ' RND=', 'C': ' CHR=', 'A': ' ANG='}
 _EXPRESSION_SIGNS = re.compile(r'[#\[\]=<>*]|\w\s*\(')
 _TRAFO = re.compile(r'#\s*TRAFO\b')
 _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
-#: Functions that tell how an axis word is meant: absolute, incremental, or direction of turn.
+#: Functions that qualify an axis word: absolute, incremental, or direction of turn.
 WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
 # X1E-3 could be a small number, or X1 with a word of an extruder, which stands alone.
 _EXPONENT = re.compile(r'(?:(?<![A-Z_<"])[A-Z](?:\s*=)?\s*|(?<![\w.<"]))[-+]?([\d.]+E[-+]?\d+)')
@@ -83,7 +83,7 @@ Fault = Callable[[str, str, DependsOn], ProgramError]
 
 
 def without_comments(line: str, fault: Fault) -> str:
-    """Remove comments; after an operator or a name a parenthesis opens none: CYCLE832(...)."""
+    """Remove comments; a parenthesis after an operator or a name is none, as in CYCLE832(...)."""
     if ';' not in line and '(' not in line:
         return line
     kept, at, size, quoted, depth = [], 0, len(line), False, 0

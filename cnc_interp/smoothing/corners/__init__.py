@@ -1,1 +1,1 @@
-"""What happens at a vertex between two blocks: it is rounded, stopped at or passed."""
+"""Vertices between two blocks: each is rounded, stopped at or passed."""

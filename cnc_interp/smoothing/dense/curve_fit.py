@@ -21,7 +21,7 @@ ATTEMPTS = ((1, 40, 0.85, 1.0), (1, 80, 0.7, 1.0), (1, 60, 0.75, 0.5), (1, 60, 0
 
 
 class Curve(NamedTuple):
-    """What all windows of a run have in common."""
+    """Properties shared by all windows of a run."""
 
     turning: bool  #: Whether the tool turns; else only the tip is fitted.
     height: float  #: Flank height [m].

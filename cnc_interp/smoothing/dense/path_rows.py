@@ -11,8 +11,8 @@ from cnc_interp.core.tables import Table, column
 from cnc_interp.program.blocks import Blocks
 
 TOLERANCES = 'contour_tolerance', 'orientation_tolerance'
-#: What moves less than this does not move [m]; angles count at flank height. Way and turn together
-#: displace the point at flank height by less than 1 nm, which the proof counts as nothing.
+#: A block that moves less counts as not moving [m]; angles count at flank height. Way and turn
+#: together displace the point at flank height by less than 1 nm, which the proof ignores.
 STANDSTILL = 0.5e-9
 
 

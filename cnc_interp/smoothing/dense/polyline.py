@@ -108,7 +108,7 @@ def lone_vertex(pose: FloatArray, vertex: int) -> Polyline:
 
 
 class Programmed(NamedTuple):
-    """What the program says of a segment of a polyline."""
+    """Programmed data of a segment of a polyline."""
 
     used: FloatArray  #: (2,): Its deviation from the program [m].
     tolerance: FloatArray  #: (2,): Its tolerances [m].

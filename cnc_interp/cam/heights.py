@@ -183,7 +183,7 @@ class HeightStore:
         self._height = self._group['height']
 
     def _fits(self, place: Path, grid: NeedleGrid) -> bool:
-        """Return whether a store of these needles exists; refuse a folder with other content."""
+        """Return whether a store of these needles exists; reject a folder with other content."""
         ours = False
         try:
             found = self._zarr.open_group(place, mode='r')

@@ -150,7 +150,7 @@ class Surface(ABC):
         return np.asarray(along & (v >= v0 - grow_v) & (v <= v1 + grow_v))
 
     def check(self, offset: float = 0.0) -> None:
-        """Refuse a surface that is degenerate or folds, or whose offset [m] does: SurfaceError."""
+        """Reject a surface that is degenerate or folds, or whose offset [m] does: SurfaceError."""
         u, v = self.grid(SAMPLES, SAMPLES)
         point = self.at(u, v)
         area = norm(cross(point.d_u, point.d_v))

@@ -86,7 +86,7 @@ def move_by_hand(
 
 
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
-    """Home axes, by default all; return those still not homed. InterpError if refused."""
+    """Home axes, by default all; return those still not homed. InterpError if rejected."""
     with connected('home', namespace, domain, lambda one: one.offers('home')) as (client, machine):
         client.granted(client.ask('home', axes=list(axes)))
         wanted = set(axes or machine.homing.switches)
@@ -197,7 +197,7 @@ class LineEnd:
 
 
 def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:
-    """Execute lines until one is refused, and yield their results.
+    """Execute lines until one is rejected, and yield their results.
 
     Without lines, yield the modal state.
     """

@@ -115,7 +115,7 @@ class RunConsole:
         """Run the programs one after the other, each to its end.
 
         ``started``: monotonic time at which the command began [s]. Raises InterpError if the first
-        program is refused before anything moves, or if a node ends.
+        program is rejected before anything moves, or if a node ends.
         """
         self._wait_for_nodes()
         if machine.guessed and not self._request.quiet:

@@ -118,7 +118,7 @@ class SetupClient:
         return await self.ask_each(whole_offset(one.name, one.had) for one in changes)
 
     async def ask_each(self, requests: Iterable[tuple[str, dict[str, Any]]]) -> Answer:
-        """Send requests one after the other, and stop at the first that is refused."""
+        """Send requests one after the other, and stop at the first that is rejected."""
         answer = Answer(True, 'nothing to set')
         for service, request in requests:
             answer = await asyncio.wrap_future(self.ask(service, **request))

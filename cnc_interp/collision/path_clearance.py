@@ -329,7 +329,7 @@ class PathClearance:
         return np.asarray(tool)
 
     def _refuse_inside(self, route: Route, first: int, pairs: list[tuple[int, int]]) -> None:
-        """Refuse a body that begins inside a mesh: the check sees only the surface of a mesh."""
+        """Reject a body that begins inside a mesh: the check sees only the surface of a mesh."""
         meshes = [k for k, body in enumerate(self.scene.bodies) if body.triangles is not None]
         asked = [pair for pair in pairs if pair[0] in meshes or pair[1] in meshes]
         if not asked:

@@ -60,7 +60,7 @@ class InterpError(Exception):
 
 
 class DependsOn(Enum):
-    """What a refusal of a line depends on. After an earlier refused line, that may be wrong."""
+    """What a refusal of a line depends on. After an earlier rejected line, that may be wrong."""
 
     LINE = 1  #: Only the words of the line itself.
     PLACE = 2  #: The position that earlier lines have reached.
@@ -115,7 +115,7 @@ class SettingsError(InterpError):
 
 
 class BlockError(InterpError):
-    """A block is refused before anything moves; callers that know the file set ``source``."""
+    """A block is rejected before anything moves; callers that know the file set ``source``."""
 
     def __init__(
         self, message: str, line_number: int = 0, axis: str = '', value: float = float('nan')
@@ -144,7 +144,7 @@ class PlanningError(BlockError):
 
 
 class Refusal(IntEnum):
-    """Why a message or the rest of a run is refused; values as in ``StreamStatus``."""
+    """Why a message or the rest of a run is rejected; values as in ``StreamStatus``."""
 
     NONE = 0
     # The whole run is refused:

@@ -34,7 +34,7 @@ def require_inside(path: Path, folders: Sequence[str]) -> Path:
 def require_allowed(path: Path, folders: Sequence[str]) -> Path:
     """Return the real path of an allowed regular file; raises as ``require_inside`` does.
 
-    Devices and pipes are refused, because opening one may block forever or have side effects.
+    Devices and pipes are rejected, because opening one may block forever or have side effects.
     """
     real = require_inside(path, folders)
     try:
@@ -94,7 +94,7 @@ def small_text(path: Path, longest: int) -> str:
 
 
 def _checked(content: Any) -> Any:
-    """Return the content of a file; refuse numbers that no float can hold."""
+    """Return the content of a file; reject numbers that no float can hold."""
     waiting = [content]
     while waiting:
         value = waiting.pop()

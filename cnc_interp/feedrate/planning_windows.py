@@ -10,7 +10,7 @@ is divided by a rest where that law is slowest, if this is faster.
 
 A window fails if no law within the limits was found from the committed state. Then half of the
 older plan, which ends at rest, is committed instead, and after a second failure all of it. If even
-this is impossible, the path is refused with its block after a stop before it.
+this is impossible, the path is rejected with its block after a stop before it.
 
 Where a window ends, and how much of it is committed, follows from stopping distances. Several of
 them lie between a committed state and the stop at the end of the plan: then more path would

@@ -1,4 +1,4 @@
-"""Checks that refuse a path in machine axes: tilt, unreachable poses, rotary words, travel."""
+"""Checks that reject a path in machine axes: tilt, unreachable poses, rotary words, travel."""
 
 from typing import NoReturn
 
@@ -27,7 +27,7 @@ OFF_WORDS = 15.0 * DEG
 def check_words(
     transform: Transform, run: PathSegments, right: FloatArray, counts: IntArray
 ) -> None:
-    """Refuse lines on which the tool axis leads the rotary axes away from their words."""
+    """Reject lines on which the tool axis leads the rotary axes away from their words."""
     machine = transform.machine
     lines = np.flatnonzero((run.kind == LINE) & np.isfinite(run.rotary[:, 1]).all(axis=1))
     if not len(lines) or not machine.has_rotary:
@@ -70,7 +70,7 @@ def refuse_tilt(machine: Machine, segments: PathSegments) -> None:
 
 
 def refuse(transform: Transform, status: int, line: int, stands: FloatArray) -> NoReturn:
-    """Refuse a segment that cannot be cut into cells; the error names the last positions."""
+    """Reject a segment that cannot be cut into cells; the error names the last positions."""
     machine = transform.machine
     if isinstance(transform, JointChain) and status != STANDSTILL:
         raise transform.refusal(stands, line, status == SINGULAR)
@@ -94,7 +94,7 @@ def refuse(transform: Transform, status: int, line: int, stands: FloatArray) -> 
 def check_travel(
     machine: Machine, steps: FloatArray, left: FloatArray, right: FloatArray, lines: IntArray
 ) -> None:
-    """Refuse cells on which an axis leaves its travel, at their ends or between them.
+    """Reject cells on which an axis leaves its travel, at their ends or between them.
 
     A septic lies between its least and greatest Bezier value. A cell is divided until these lie
     within the travel, or until an end of a part lies outside. The Bezier values approach the curve

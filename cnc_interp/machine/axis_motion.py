@@ -34,7 +34,7 @@ def beyond_travel(machine: Machine, positions: FloatArray) -> str:
 def refuse_setpoints(
     machine: Machine, period: float, before: FloatArray, positions: FloatArray
 ) -> None:
-    """Refuse setpoints that leave the travel or break a limit; StreamError with axis and value.
+    """Reject setpoints that leave the travel or break a limit; StreamError with axis and value.
 
     ``before`` (3, n_axes): the last setpoints before them; ``positions`` (K, n_axes) must end at
     rest [m, rad].

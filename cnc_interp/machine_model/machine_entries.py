@@ -62,7 +62,7 @@ PLAUSIBLE = {
 
 
 def section(content: dict[str, Any], name: str, known: Collection[str]) -> dict[str, Any]:
-    """Return a section of the file, or an empty one; refuse unknown entries in it."""
+    """Return a section of the file, or an empty one; reject unknown entries in it."""
     given = content.get(name) or {}
     demand(isinstance(given, dict), f'may hold {", ".join(known)}', name)
     require_known(given, known, name)

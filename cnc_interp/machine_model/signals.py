@@ -360,7 +360,7 @@ def _with_tool_change(found: Signals) -> Signals:
 def _refuse_old_answers(
     steps: list[Step], outputs: tuple[Signal, ...], inputs: tuple[Signal, ...], where: str
 ) -> None:
-    """Refuse a request whose answer is withdrawn later, if that answer may be an old one."""
+    """Reject a request whose answer is withdrawn later, if that answer may be an old one."""
     for k, step in enumerate(steps):
         begins, ends = (
             any(s.output == step.output and s.wait == -step.wait for s in part)

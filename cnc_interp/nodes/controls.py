@@ -28,7 +28,7 @@ from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
 
-TOLD = 10.0  #: Time for which the page shows that a motion by hand was refused or stopped [s].
+TOLD = 10.0  #: Time for which the page shows that a motion by hand was rejected or stopped [s].
 
 
 class Controls:

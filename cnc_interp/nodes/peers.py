@@ -110,7 +110,7 @@ class Peers:
         return '' if now - self._state_seen <= timeout else 'machine_node'
 
     def refusal(self, run_id: RunId) -> tuple[Refusal, str]:
-        """Return why a run was refused, by the refusing node nearest to the machine."""
+        """Return why a run was rejected, by the rejecting node nearest to the machine."""
         for stream in reversed(RECEIVERS):
             status = self._status.get(stream)
             # A plan that joins too late does not end the run.

@@ -351,7 +351,7 @@ class PlanningSession:
                 self.path_end = PathEnd.QUEUED
 
     def finish(self, task: PlanningTask, outcome: Callable[[], Any], now: float) -> None:
-        """Store the result of a task of this run; an InterpError refuses the run."""
+        """Store the result of a task of this run; an InterpError rejects the run."""
         if task is not self.task:
             return
         self.task = None

@@ -228,7 +228,7 @@ class Preparation:
             raise BlockError('cancelled before anything moved')
 
     def look(self) -> Outcome | None:
-        """Return the outcome if the program was refused; once checked, store the program."""
+        """Return the outcome if the program was rejected; once checked, store the program."""
         if self.prepared is not None or self.future is None or not self.future.done():
             return None
         try:

@@ -472,7 +472,7 @@ def answer(handle: Any, result: RunProgram.Result) -> None:
 
 
 class ProgramQueue:
-    """A first-in, first-out queue of goals; cancelled or refused goals are removed."""
+    """A first-in, first-out queue of goals; cancelled or rejected goals are removed."""
 
     def __init__(self) -> None:
         self._entries: deque[Waiting] = deque()

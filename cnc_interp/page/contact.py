@@ -25,7 +25,7 @@ from starlette.responses import PlainTextResponse
 
 from cnc_interp.client.operator_client import STOPS, Answer
 
-#: The action of a key, and the way a page requests it; the server allows or refuses it.
+#: The action of a key, and the way a page requests it; the server allows or rejects it.
 Act = Callable[[], Awaitable[Answer]]
 Command = Callable[[Act], Awaitable[None]]
 

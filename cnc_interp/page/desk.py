@@ -387,7 +387,7 @@ class Desk:
         return Answer(True, 'chosen')
 
     def _see_end(self, result: RunProgram.Result) -> None:
-        """After a run, clear the start line; if the start was refused, store the reason."""
+        """After a run, clear the start line; if the start was rejected, store the reason."""
         program = self.nodes.program
         begun = program is not None and program.program_id == result.program_id
         if begun or not self.start.line:

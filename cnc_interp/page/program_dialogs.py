@@ -92,7 +92,7 @@ class EditorDialog:
         ui.run_javascript(f'editor.open({number})')
 
     def show(self) -> None:
-        """Mark the refused lines of the last check."""
+        """Mark the rejected lines of the last check."""
         job = self._desk.job
         if not self._dialog.value or job is None:
             return

@@ -27,7 +27,7 @@ MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 class StartChoice:
     line: int = 0  #: Line of the program; 0 for its top.
     which: int = 0  #: Execution of that line, from 1; 0 for the only one.
-    refused: str = ''  #: Why the start there was refused; empty before the attempt.
+    refused: str = ''  #: Why the start there was rejected; empty before the attempt.
 
     @property
     def text(self) -> str:

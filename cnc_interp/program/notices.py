@@ -1,4 +1,4 @@
-"""Messages of a program reader: notices of words without effect, and refused lines."""
+"""Messages of a program reader: notices of words without effect, and rejected lines."""
 
 import re
 import sys
@@ -37,7 +37,7 @@ class Notices:
         return tuple(self._texts.values())
 
 
-#: Number of different refusals, and of refused lines, after which reading ends.
+#: Number of different refusals, and of rejected lines, after which reading ends.
 MOST, MOST_LINES = 20, 1000
 #: Number of lines named per refusal; number of refusals above which their words form a table.
 NAMED, NAMED_ALONE = 5, 3
@@ -46,10 +46,10 @@ _HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
 
 
 class Refusals:
-    """Refused lines of a program, collected while the rest of it is read.
+    """Rejected lines of a program, collected while the rest of it is read.
 
-    After a refused line neither the position nor the modal state is known. Refusals that depend on
-    them are dropped, such as an arc with a wrong start, or a missing feed.
+    After a rejected line neither the position nor the modal state is known. Refusals that depend
+    on them are dropped, such as an arc with a wrong start, or a missing feed.
     """
 
     def __init__(self) -> None:

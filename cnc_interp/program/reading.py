@@ -170,7 +170,7 @@ def read_program(
     settings: Settings | None = None,
     setup: JobSetup | None = None,
 ) -> Program:
-    """Read a whole part program, or raise ProgramError with file and line of refused words.
+    """Read a whole part program, or raise ProgramError with file and line of rejected words.
 
     Feedrate and tolerances of the settings are defaults for the program. Without ``setup``, the
     file named by the settings is read.
@@ -199,7 +199,7 @@ class MdiLine(ProgramStream):
 
 
 class MdiReader:
-    """Reads MDI lines, which share one modal state; a refused line changes nothing."""
+    """Reads MDI lines, which share one modal state; a rejected line changes nothing."""
 
     def __init__(self, geometry: Transform, settings: Settings):
         self._geometry, self._settings = geometry, profiles.as_on(geometry, settings)

@@ -1,6 +1,6 @@
 """A second reader of part programs, for plain words only; it shares no code with the first one.
 
-It refuses programs with words that it does not know, because these cannot be compared.
+It rejects programs with words that it does not know, because these cannot be compared.
 """
 
 import re
@@ -394,7 +394,7 @@ class _State:
         self.by_normals, self.cutter = True, (radius - corner, corner)
 
     def measure(self, codes: list[str], number: float | None) -> None:
-        """Take the tool length of G43.4 H; G43 with a length is refused."""
+        """Take the tool length of G43.4 H; G43 with a length is rejected."""
         known = {0: (0.0, 0.0, 0.0), **self.tools}
         named = 0 if number is None else int(number)
         if {'G43', 'G43.4'} & set(codes) and named not in known:

@@ -112,7 +112,7 @@ class LiveClearance:
     def __init__(self, clearance: PathClearance, mode: str, line_of: Callable[[int], int]):
         self._clearance, self._mode, self._line_of = clearance, mode, line_of
         self._functions = Functions.none()
-        #: Hits so far; a run that is not only warned is refused at the first.
+        #: Hits so far; a run that is not only warned is rejected at the first.
         self.hits: list[Hit] = []
         self.stock: CutStock | None = None  #: Stock at the end of the checked part.
 
@@ -242,7 +242,7 @@ class ClearanceStage:
         return {'stock': found}
 
     def require(self, source: str) -> None:
-        """Refuse a program that hits something, with a line for each hit."""
+        """Reject a program that hits something, with a line for each hit."""
         from cnc_interp.collision.hits import CollisionsError
 
         if self.refused:

@@ -205,7 +205,7 @@ class SpinSearch:
         rows[first:last, 1], rows[first:last, 2:] = self._ends[last] - self._ends[first], curve
 
     def _follow(self, rows: FloatArray, q: FloatArray, first: int, last: int) -> AxisPath | None:
-        """Return the path of segments from joints on, at rest at both ends; None if refused."""
+        """Return the path of segments from joints on, at rest at both ends; None if rejected."""
         segments = self._segments[first:last]
         stop = segments.stop.copy()
         stop[-1] = True

@@ -67,7 +67,7 @@ class Choice:
     for_comparison: bool = False  #: Whether it only serves to compare methods, not operation.
 
     def check(self, value: Any) -> None:
-        """Refuse a value of the wrong type or outside the range; SettingsError names it."""
+        """Reject a value of the wrong type or outside the range; SettingsError names it."""
         if value is None and self.optional:
             return
         if self.kind in (float, int):

@@ -234,7 +234,7 @@ def with_texts(
 ) -> Settings:
     """Return settings with some values replaced by texts; a number without a unit is in SI.
 
-    ``need_units``: refuse numbers without a unit, because a user wrote them. Raises SettingsError.
+    ``need_units``: reject numbers without a unit, because a user wrote them. Raises SettingsError.
     """
     known = {choice.name: choice for choice in kinds.choices(settings)}
     given: dict[str, Any] = {}

@@ -33,7 +33,7 @@ NO_SIGNALS = Signals()
 
 
 def check_block(message: G1Block, extra_count: int = 0, signals: Signals = NO_SIGNALS) -> None:
-    """Refuse a block with impossible values, or with another number of extra axes."""
+    """Reject a block with impossible values, or with another number of extra axes."""
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
     _check_interpolation(name, message)
@@ -156,7 +156,7 @@ def _check_spline(name: str, spline: BSpline, kind: int) -> None:
 
 
 def _check_parametrization(name: str, spline: BSpline) -> None:
-    """Refuse a u_top = f(u) unless it consists of sextic spans and rises from 0 to 1."""
+    """Reject a u_top = f(u) unless it consists of sextic spans and rises from 0 to 1."""
     knots, values = np.array(spline.knots), np.array(spline.control_points)
     if not len(knots) and not len(values):
         return
@@ -180,7 +180,7 @@ def _check_parametrization(name: str, spline: BSpline) -> None:
 def check_chunk(
     message: SetpointChunk, machine: Machine, period: float, before: FloatArray
 ) -> None:
-    """Refuse setpoints with a wrong shape, machine or period, or that break limits.
+    """Reject setpoints with a wrong shape, machine or period, or that break limits.
 
     ``before`` (3, n): the three setpoints before them.
     """
@@ -210,7 +210,7 @@ def check_chunk(
 
 
 def check_state(message: MachineState, axis_count: int | None = None) -> None:
-    """Refuse a machine state from which nothing can be planned; None accepts any axis count."""
+    """Reject a machine state from which nothing can be planned; None accepts any axis count."""
     name = 'machine_state'
     count = len(message.commanded_positions) if axis_count is None else axis_count
     if len(message.positions) != count:
@@ -230,7 +230,7 @@ def check_state(message: MachineState, axis_count: int | None = None) -> None:
 
 
 def check_setpoints(message: SetpointChunk, axis_count: int, prefix: str = '') -> None:
-    """Refuse setpoints, or a stop tail, with a wrong shape or another number of axes."""
+    """Reject setpoints, or a stop tail, with a wrong shape or another number of axes."""
     name, n = f'setpoints from {message.first_sample}', len(getattr(message, f'{prefix}sequences'))
     if message.axis_count != axis_count:
         raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')

@@ -229,7 +229,7 @@ def functions_from(messages: Sequence[Function]) -> Functions:
 
 
 def check_functions(name: str, messages: Sequence[Function], signals: Signals) -> None:
-    """Refuse functions that have gaps, are out of order, or are unknown to the machine file."""
+    """Reject functions that have gaps, are out of order, or are unknown to the machine file."""
     for before, message in pairwise(messages):
         if message.number != before.number + 1 or message.sequence < before.sequence:
             raise StreamError(f'{name}: function {message.number} does not follow')

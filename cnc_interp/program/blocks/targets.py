@@ -37,7 +37,7 @@ from cnc_interp.program.job import SetupChange
 from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
-HOUR, LONGEST = 3600.0, 100.0 * 3600.0  #: A program that takes longer is refused [s].
+HOUR, LONGEST = 3600.0, 100.0 * 3600.0  #: A program that takes longer is rejected [s].
 MOST_CHANGES = 1000  #: Largest number of changes of the setup that are kept individually.
 #: Kind of program stop for each EXACT_STOP of a target.
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
@@ -215,7 +215,7 @@ class TargetColumns:
         self._parts.append(blocks)
 
     def _demand_an_end(self, blocks: Blocks) -> None:
-        """Refuse a program that would take days; its slowest line has a wrong feed."""
+        """Reject a program that would take days; its slowest line has a wrong feed."""
         step = np.diff(
             blocks.tip, axis=0, prepend=blocks.tip[:1] if self._tip is None else self._tip
         )

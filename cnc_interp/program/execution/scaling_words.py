@@ -58,7 +58,7 @@ def _factor(at: Execution, letter: str, words: BlockWords) -> float:
 
 
 def _demand_rest(at: Execution, code: str) -> None:
-    """Refuse states that controls mirror and scale in different ways."""
+    """Reject states that controls mirror and scale in different ways."""
     mover = at.mover
     at.refuse_if(
         mover.tcp or mover.oriented or at.plane.parts,

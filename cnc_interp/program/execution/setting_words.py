@@ -84,7 +84,7 @@ def begin_polar(at: Execution, code: str, _: BlockWords) -> None:
 
 
 def no_effect(at: Execution, code: str, words: BlockWords) -> None:
-    """Process words without effect; refuse them if their letters give them another meaning."""
+    """Process words without effect; reject them if their letters give them another meaning."""
     mover = at.mover
     letters, why = codes.OTHER_MEANING.get(code, ('', ''))
     if found := set(letters) & words.values.keys():

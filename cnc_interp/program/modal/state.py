@@ -157,7 +157,7 @@ class ModalState(ModalValues):
         self.told_feed_of_turns = False
         #: The way that a spline G5 without I J begins with, and where the one before ended [m].
         self.spline_goes_on = np.full((2, 3), nan)
-        #: Letters of axes that words have named since the last refused line.
+        #: Letters of axes that words have named since the last rejected line.
         self.placed: set[str] = set()
 
     def begin_targets(self) -> None:
@@ -234,7 +234,7 @@ class ModalState(ModalValues):
             self.targets.change(change, self.flow.main_line)
 
     def demand_no_scale(self, word: str, axis: int | None = None) -> None:
-        """Refuse a word whose meaning is unclear while axes are mirrored or scaled."""
+        """Reject a word whose meaning is unclear while axes are mirrored or scaled."""
         if self.frames.scales and (axis is None or self.frames.factor[axis] != 1.0):
             ends = 'G50 and G50.1'
             if self.dialect is HEIDENHAIN:

@@ -35,7 +35,7 @@ class TiltedPlane:
         self.parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
 
     def refuse_gaps(self, codes: Sequence[str]) -> None:
-        """Refuse other words until all blocks of a plane have been read."""
+        """Reject other words until all blocks of a plane have been read."""
         self.refuse_if(
             self.parts and not DEFINING & set(codes),
             'the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '

@@ -1,4 +1,4 @@
-"""The words of CL data, with reasons for refused ones; drilling cycles and frames.
+"""The words of CL data, with reasons for rejected ones; drilling cycles and frames.
 
 ``CYCLE/DRILL,FEDTO,d,MMPM,f,RAPTO,c,RTRCTO,r`` drills at the next GOTO points until ``CYCLE/OFF``.
 The first system of MSYS or CSYS is that of the workpiece; points of others are converted to it.
@@ -60,7 +60,7 @@ HARMLESS = {
     'TURRET',
 }
 _FRAME = 'changing the coordinate system is not supported; output one workpiece frame'
-#: Words that are refused unless they switch something off or contain only zeros.
+#: Words that are rejected unless they switch something off or contain only zeros.
 OFF_ONLY = {'ORIGIN': _FRAME, 'TRANS': _FRAME}
 NOTICES = {
     **dict.fromkeys((*HARMLESS, *OFF_ONLY), 'no effect, it does not move the tool'),

@@ -1,4 +1,4 @@
-"""The meaning of each code: a setting, harmless, or refused with a reason."""
+"""The meaning of each code: a setting, harmless, or rejected with a reason."""
 
 import re
 

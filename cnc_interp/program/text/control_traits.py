@@ -30,7 +30,7 @@ class Dialect:
     turns_in_cycles: bool = True  #: Whether rotary words are allowed in a canned cycle.
     machine_axes: bool = False  #: Whether G53 means axis positions with tool-tip programming on.
     is_sure: bool = True  #: Whether ambiguous words have the meaning of this control.
-    #: Readings of operators without brackets; the line is refused if they differ in value.
+    #: Readings of operators without brackets; the line is rejected if they differ in value.
     readings: tuple[Reading, ...] = (USUAL,)
 
 

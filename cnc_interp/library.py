@@ -22,7 +22,7 @@ from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.run.plan_writer import block_columns
-from cnc_interp.run.planning_chain import Chain, at_fault, no_motion
+from cnc_interp.run.planning_chain import Chain, at_fault, no_motion, spun_for
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -216,7 +216,12 @@ def plan_program(program: Program, machine: Machine, settings: Settings | None =
 
     """
     settings, kept = settings or Settings(), Kept()
-    chain = Chain(machine, settings, kept)
+    with at_fault(program.source):
+        spun, why = spun_for(program.blocks, Transform.of(machine), settings)
+    if why:
+        told = f'line {program.blocks.line_number[0]}: {why}'
+        program = replace(program, notices=(*program.notices, told))
+    chain = Chain(machine, settings, kept, spun=spun)
     if chain.clearance is not None:
         chain.clearance.rows(program.blocks)
     with at_fault(program.source):
@@ -248,7 +253,8 @@ def smooth_path(blocks: Blocks, geometry: Transform, settings: Settings | None =
         Nothing moves.
 
     """
-    chain = PathChain(geometry, settings or Settings())
+    settings = settings or Settings()
+    chain = PathChain(geometry, settings, spun=spun_for(blocks, geometry, settings)[0])
     parts = [*(chain.push(batch) for batch in batches(blocks)), chain.finish()]
     paths = [part.path for part in parts if part.path is not None]
     if not paths:

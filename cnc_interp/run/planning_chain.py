@@ -159,6 +159,18 @@ def plan_to_files(
         return writer.finish(stream.source, chain.seconds, setup=stream.setup)
 
 
+def spun_for(
+    program: Blocks, transform: Transform, settings: Settings
+) -> tuple[tuple[Transform, FloatArray] | None, str]:
+    """Return what ``Chain`` takes as ``spun`` for a whole program, and how it was chosen."""
+    if settings.spin == 'fixed' or not isinstance(transform, JointChain):
+        return None, ''
+    from cnc_interp.run.spin_choice import SpinSearch
+
+    choice = SpinSearch(transform, settings, program).chosen()
+    return (choice.chain, choice.spins), choice.why
+
+
 @contextmanager
 def planned(
     stream: ProgramStream,
@@ -173,14 +185,11 @@ def planned(
     """Context in which a program is planned into a sink while it is read; yields the chain."""
     parts = iter(stream)
     spun = None
-    if settings.spin != 'fixed' and isinstance(transform, JointChain):
-        from cnc_interp.run.spin_choice import SpinSearch
-
+    if settings.spin != 'fixed' and transform.machine.arm is not None:
         with at_fault(stream.source):
             program = Blocks.concatenate(list(parts))
-            choice = SpinSearch(transform, settings, program).chosen()
-        spun = choice.chain, choice.spins
-        stream.note((int(program.line_number[0]), choice.why))
+            spun, why = spun_for(program, transform, settings)
+        stream.note((int(program.line_number[0]), why))
         parts = iter([program])
     chain = Chain(
         transform.machine,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+import cnc_interp
 from cnc_interp.commands.cli import main
 from cnc_interp.core import BlockError, MachineError, ProgramError, SingularityError
 from cnc_interp.kinematics.axis_path import AxisPath
@@ -345,6 +346,14 @@ def test_spin_auto_is_faster_than_the_one_of_the_machine_file(tmp_path, capsys):
         assert main(['check', str(out)]) == 0
         times[spin] = json.loads((out / 'summary.json').read_text())['cycle_time']
     assert times['auto'] < times['fixed']
+
+
+def test_the_library_plans_as_the_command_does(tmp_path):
+    summary = planned(PART, tmp_path, Machine.load('ur10e'), spin='auto')
+    plan = cnc_interp.plan(tmp_path / 'part.apt', machine='ur10e', feedrate=0.02, spin='auto')
+    assert plan.cycle_time == summary['cycle_time']
+    assert cnc_interp.check(plan).ok
+    assert any('spin' in notice for notice in plan.program.notices)
 
 
 CUTS = """UNITS/MM

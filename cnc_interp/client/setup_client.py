@@ -216,9 +216,8 @@ class SetupConsole:
         return self._client.granted(self._setup.ask(service, **request)).message
 
     def offsets_text(self) -> str:
-        table, setup, state = self._now
-        machine = dict(zip(table.axes, state.positions, strict=False))
-        rows = [('machine', machine), (f'work {setup.offset}', self._work())]
+        table, setup, _ = self._now
+        rows = [('machine', self._machine()), (f'work {setup.offset}', self._work())]
         rows += [
             (f'{name}{" *" if name == setup.offset else ""}', offset_row(table, setup, name))
             for name in sorted({setup.offset, *setup.work_offsets})
@@ -229,7 +228,7 @@ class SetupConsole:
         if any(setup.rotation(name) for name in setup.work_offsets):
             letters.append(ROTATION)
         lines = [' ' * 10 + ''.join(f'{letter:>12}' for letter in letters)]
-        for name, position in rows:
+        for name, position in (row for row in rows if row[1]):
             texts = {k: MILLIMETRES.shown(k, value) for k, value in position.items()}
             values = ''.join(f'{texts.get(k, ""):>12}' for k in letters)
             lines.append(f'{name:<10}{values}'.rstrip())
@@ -260,11 +259,10 @@ class SetupConsole:
         return '\n'.join([*lines, self._file_text()])
 
     def to_json(self) -> dict[str, Any]:
-        table, setup, state = self._now
-        machine = dict(zip(table.axes, state.positions, strict=False))
+        table, setup, _ = self._now
         return {
             'file': table.file,
-            'machine': machine,
+            'machine': self._machine(),
             'work': self._work(),
             'active': setup.offset,
             'work_offsets': {k: dict(v) for k, v in setup.work_offsets.items()},
@@ -274,6 +272,12 @@ class SetupConsole:
             'tool': setup.tool,
             'in_use': list(table.in_use),
         }
+
+    def _machine(self) -> dict[str, float]:
+        """Return where the axes of the table stand; an arm has none of them."""
+        table, _, state = self._now
+        has_them = len(state.positions) == len(state.program_positions)
+        return dict(zip(table.axes, state.positions, strict=False)) if has_them else {}
 
     def _work(self) -> dict[str, float]:
         table, _, state = self._now

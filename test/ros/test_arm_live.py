@@ -1,5 +1,9 @@
 """An arm over the real nodes: motion by hand, lines by hand, a program with hold and stops."""
 
+import json
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -180,3 +184,14 @@ def test_lines_by_hand_begin_where_the_tool_stands(bench):
     assert np.abs(tips[-1] - [0.03, 0.03, 0.1]).max() < 1e-9
     assert np.abs(tips[:, 1:] - [0.03, 0.1]).max() < 1e-9
     assert np.abs(axes - axes[0]).max() < 1e-9
+
+
+def test_offsets_are_those_of_the_tool_tip(bench):
+    tip = OwnChain.of(ARM).forward(bench.place[None])[0][0]
+    words = ['offsets', '--json', '--namespace', bench.namespace, '--domain', str(bench.domain)]
+    command = [sys.executable, '-m', 'cnc_interp', *words]
+    asked = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    bench.spin_until(lambda: asked.poll() is not None)
+    told = json.loads(asked.stdout.read())
+    assert told['machine'] == {}
+    assert [told['work'][letter] for letter in 'XYZ'] == pytest.approx(tip.tolist(), abs=1e-9)

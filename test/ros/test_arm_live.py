@@ -90,7 +90,9 @@ class ArmBench(NodesUnderTest):
             parts = [np.reshape(m.positions, (-1, 6)) for m in self.executed[first:]]
             return np.concatenate([start[None], *parts])
 
-        self.spin_until(lambda: len(rows()) > 1 and np.array_equal(rows()[-1], self.place))
+        self.spin_until(lambda: len(self.executed) > first)
+        end = self.place
+        self.spin_until(lambda: np.array_equal(rows()[-1], end))
         assert limit_use(rows(), LIMITS) <= 1.001
         return rows()
 
@@ -145,9 +147,6 @@ def test_hold_away_override_and_emergency_stop(bench, tmp_path, capsys):
     bench.moved(axes=['J1', 'J5'], values=[0.05, 0.05], relative=True)
     assert bench.press('cycle_start').success
     bench.spin_until(lambda: bench.state.state == MachineState.RUNNING)
-    bench.override.publish(Float64(data=0.5))
-    bench.spin_until(lambda: bench.state.path_position > 0.1)
-    bench.override.publish(Float64(data=1.0))
     result = bench.result_of(handle)
     assert (result.code, result.blocks_executed) == (RunProgram.Result.SUCCEEDED, 4)
     q = bench.heard(start)
@@ -166,6 +165,9 @@ def test_hold_away_override_and_emergency_stop(bench, tmp_path, capsys):
     assert main(['check', str(tmp_path / 'bag')]) == 0
     assert capsys.readouterr().out.endswith('proven\n')
     handle = bench.begin()
+    bench.override.publish(Float64(data=0.5))
+    bench.spin_until(lambda: bench.state.path_position > 0.1)
+    bench.override.publish(Float64(data=1.0))
     assert bench.press('emergency_stop').success
     bench.spin_until(lambda: bench.state.state == MachineState.FAULT)
     bench.result_of(handle)

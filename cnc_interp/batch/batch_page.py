@@ -189,7 +189,7 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
     return html.section(
         'Cycle times',
         'The least time is that of any motion within the feeds, velocities and accelerations. '
-        'What is above it is the price of the jerk limits.',
+        'Time above it is due to the jerk limits.',
         html.drawing(html.laid_out(figure, 320, hovermode='closest', **titles)),
     )
 

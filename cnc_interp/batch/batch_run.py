@@ -44,7 +44,7 @@ class Store(Generic[R]):
 LOST = {
     Loss.CRASHED: Row(Verdict.CRASHED, 'its worker crashed'),
     Loss.KILLED: Row(Verdict.KILLED, 'its worker was killed again and again'),
-    Loss.TOO_LONG: Row(Verdict.TOO_LONG, 'it takes longer than a program may; see --longest'),
+    Loss.TOO_LONG: Row(Verdict.TOO_LONG, 'it exceeds the longest planning time; see --longest'),
 }
 
 

@@ -80,7 +80,7 @@ class DaskWorkers:
 
 
 def _lost() -> InterpError:
-    return InterpError('the scheduler was lost; start it and the batch again: it goes on')
+    return InterpError('the scheduler was lost; start it and the batch again, which continues')
 
 
 def _end_of(future: Future, number: int) -> processes.EndedCall[Any]:

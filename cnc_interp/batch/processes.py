@@ -111,13 +111,13 @@ class Processes:
                     except (EOFError, ConnectionError):  # the fork server was killed meanwhile
                         if call.kills >= MOST_KILLS:
                             raise InterpError(
-                                'each new process is killed; end what does it'
+                                'every new process is killed; find the cause and stop it'
                             ) from None
                         killed.append(replace(call, kills=call.kills + 1))
                 if not running:
                     return
                 if self._stopped():
-                    raise InterpError('stopped; what is done is kept')
+                    raise InterpError('stopped; finished results are kept')
                 for connection in self._heard(running):
                     one = running.pop(connection)
                     ended: EndedCall[R] = _end_of(connection, one)

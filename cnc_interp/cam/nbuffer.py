@@ -184,7 +184,7 @@ def cut_tiles(
             why = ended.result
             if not isinstance(why, str):
                 words = ended.why or str(why.name).lower().replace('_', ' ')
-                why = f'its worker was lost ({words}); start again, what is done is kept'
+                why = f'its worker was lost ({words}); start again; finished tiles are kept'
             raise InterpError(f'the tile at needle {row}, {column}: {why}')
         store.keep(row, column, key, ended.result.height, ended.result.figures)
         done += 1

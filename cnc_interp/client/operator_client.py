@@ -343,7 +343,7 @@ class OperatorClient(ServedNode):
                 wanted.set_result(Answer(response.success, response.message, response))
             elif time.monotonic() > until:  # a repeated start may be too late
                 question.drop()
-                told = 'no answer; look and press again' if heard else 'not sent, no node answers'
+                told = 'no answer; check and press again' if heard else 'not sent, no node answers'
                 wanted.set_result(Answer(False, f'{name.replace("_", " ")}: {told}'))
             return wanted.done()
 

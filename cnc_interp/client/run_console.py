@@ -45,7 +45,7 @@ STOP_TEXTS = {
     MachineState.REASON_OPTIONAL_STOP: 'optional stop',
     MachineState.REASON_SINGLE_BLOCK: 'single block',
     MachineState.REASON_APPROACH: 'the way to the path is ready: retract, position, plunge',
-    MachineState.REASON_FUNCTION: 'the operator must see to an output',
+    MachineState.REASON_FUNCTION: 'an output waits for the operator',
 }
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
 SILENCE = 1.0  #: Silence after which a node counts as lost [s].
@@ -188,7 +188,7 @@ class RunConsole:
                 self._cancelling = True
                 sent.cancel()
                 print(
-                    '\ncancelled: the blocks on their way are executed, then the machine rests; '
+                    '\ncancelled: blocks already sent are executed, then the machine rests; '
                     'press Ctrl-C again to end at once',
                     file=sys.stderr,
                 )

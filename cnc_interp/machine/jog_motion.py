@@ -135,7 +135,7 @@ class JogMotion:
             with suppress(ruckig.RuckigError):
                 self._solver.calculate(wanted, found)
                 return found
-        raise StreamError('no motion was found; go nearer or faster')
+        raise StreamError('no motion was found; choose a nearer target or a higher speed')
 
     def _stop(self, state: FloatArray) -> ruckig.Trajectory:
         still = np.zeros(state.shape[1])

@@ -137,7 +137,7 @@ class Spindle(NamedTuple):
         if cause == SHORT:
             return (
                 f'too short: the axes need {self.state[0].ramp:.3g} turns to get in step, and as '
-                'many to stop; turn slower, or begin farther off'
+                'many to stop; use a lower speed, or begin farther away'
             )
         kind = KINDS[cause // STEPS - 1]
         return f'{axes[cause % STEPS]} cannot follow the spindle within its {kind}; turn slower'

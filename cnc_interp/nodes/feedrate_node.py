@@ -260,7 +260,7 @@ class FeedrateNode(LifecycleNode):
     def _encode(self, chunk: Chunk, first: int) -> SetpointChunk:
         session = self._session
         if session.planner is None:
-            raise StreamError('a setpoint was asked for before its run')
+            raise StreamError('a setpoint was requested before its run')
         period, signals = self._values['interpolation_period'], self._transform.machine.signals
         told, joins = session.planner.with_lines(chunk), 0 < first == session.joins_at
         settings = session.planner.stream.current.settings

@@ -63,7 +63,7 @@ class Activity(Enum):
     NONE = 'no run'
     WAITING = 'waits for the machine to rest'
     PLANNING = 'plans ahead'
-    REVISING = 'plans with other settings; the old plan goes on'
+    REVISING = 'plans with other settings; the old plan continues'
     JOINING = 'has sent a plan that joins the one before'
     RESUMING = 'plans anew from rest'
     ENDED = 'the run is over'

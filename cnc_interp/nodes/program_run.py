@@ -258,7 +258,7 @@ class ProgramRun:
             return ''
         stands = lost != MACHINE and self.rests
         return f'{lost} was restarted' + (
-            '; press cycle start to go on from here' if stands else ''
+            '; press cycle start to continue from here' if stands else ''
         )
 
     def waits_for(self, peers: Peers) -> tuple[str, float] | None:
@@ -431,7 +431,7 @@ class BlockFeed:
     def message(self, rows: slice, first: int) -> G1BlockBatch:
         prepared = self._prepared
         if prepared is None:
-            raise StreamError('a block was asked for after its run')
+            raise StreamError('a block was requested after its run')
         blocks, sent = prepared.blocks, prepared[rows]
         added = np.isin(np.arange(rows.start, rows.stop), self._stops)
         made = block_messages(

@@ -41,7 +41,7 @@ def is_spoilt(data: bytes) -> bool:
 def opened(data: bytes, kind: Any) -> Any:
     """Read a message and compare its checksum, if given; StreamError if it was damaged."""
     if hasattr(kind, 'checksum') and is_spoilt(data):
-        text = 'a message was spoilt on its way (checksum); it is sent again'
+        text = 'a message was damaged in transit (checksum); it is resent'
         raise StreamError(text, Refusal.SPOILT)
     try:
         return deserialize_message(data, kind)

@@ -51,7 +51,7 @@ STALE = 1.2  #: A beat that names an older server beat was too long in transit [
 ALARMS = 'machine_node: jog'  #: Source of the messages of motion by hand.
 #: Messages if a held key was released by something other than its user.
 EARLY = 'nothing moves yet: hold the key until it is filled'
-LOST = 'the window or the pointer was lost: look at the machine, then press again'
+LOST = 'the window or the pointer was lost: check the machine, then press again'
 
 
 def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:

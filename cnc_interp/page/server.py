@@ -199,7 +199,7 @@ class FaultsOnce:
         if any(step.filename.startswith(str(PACKAGE)) for step in steps):
             loop.default_exception_handler(context)
         else:
-            print(f'a message to the page is not sound and ignored ({fault!r})', file=sys.stderr)
+            print(f'an invalid message to the page is ignored ({fault!r})', file=sys.stderr)
 
 
 async def shown_when_known(desk: Desk) -> None:

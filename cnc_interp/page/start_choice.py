@@ -19,7 +19,7 @@ LEGS = (('1 retract', 1), ('2 position', 3), ('3 plunge', 4))
 #: Reasons why a machine waits before it takes the way.
 WAITS = (MachineState.REASON_APPROACH, MachineState.REASON_AWAY)
 AWAY = 'the axes were moved away by hand'
-BACK = 'cycle start moves the tool back and goes on: retract, position, plunge; reset gives up'
+BACK = 'cycle start moves the tool back and continues: retract, position, plunge; reset gives up'
 MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 
 

@@ -109,7 +109,7 @@ def test_a_cancelled_batch_keeps_what_it_has(client, tmp_path):
     client.spin_until(lambda: len(list(results.glob('[0-9a-f]*.json'))) >= 2)
     client.spin_until(handle.cancel_goal_async().done)
     result = client.result_of(handle)
-    assert not result.success and 'what is done is kept' in result.message
+    assert not result.success and 'finished results are kept' in result.message
     known = len(list(results.glob('[0-9a-f]*.json')))
     assert 2 <= known < 60
     assert client.feedback[-1].total == 60 and client.feedback[-1].done <= known

@@ -275,7 +275,7 @@ class CannedCycle:
                 return None
             mover.notice(
                 f'WARNING: {self.code} Q',
-                f'the tool moves aside along +{"XYZ"[first]}; '
+                f'the tool is shifted along +{"XYZ"[first]}; '
                 'a parameter of the control may give another direction',
             )
             return np.asarray(np.eye(3)[first] * abs(amount) * mover.unit)

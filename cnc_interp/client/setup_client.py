@@ -1,4 +1,4 @@
-"""Offsets and tools of the machine for users: shown, changed, and on the command line."""
+"""Show and change the offsets and tools of the machine, on the page and on the command line."""
 
 from __future__ import annotations
 

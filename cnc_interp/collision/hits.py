@@ -180,7 +180,7 @@ def nearest_along(
 ) -> tuple[float, int, int]:
     """Return the least distance at the begins of cells, or ``best`` if that is smaller [m].
 
-    Returned with it: the row of ``roots`` and the cell where it occurs, or -1, -1.
+    Also return the row of ``roots`` and the cell where it occurs; -1 and -1 if none is nearer.
     """
     pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
     q, out, pieces = np.empty(route.bezier.shape[1]), np.empty(9), space.pieces

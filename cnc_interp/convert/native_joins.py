@@ -4,8 +4,8 @@ Two portions, pairs of cubic B-splines with one knot vector, may meet with G2 co
 the rate of the tool axis jumps. Both curves are kept here, and the axis slides along the top
 curve: u_top = f(u_bottom). The paper finds f at each end by Newton's method. The limit of small
 steps has a closed form (``connection.matching_slopes``): derivatives of f with which o_s, o_ss and
-o_sss continue along the top curve, or jump least. In contrast, ``joining.py`` changes the curves,
-but also removes the remaining jump.
+o_sss continue along the top curve, or jump least. In contrast, ``joining.py`` removes every
+jump, but changes the curves.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: float) -> FloatArray:
-    """Guess s_dot at the nodes of a path that ends at rest: below 0.9 of Eq. 10, and reachable."""
+    """Guess a reachable s_dot, below 0.9 of Eq. 10, at the nodes of a path that ends at rest."""
     n = len(h)
     v = np.empty(n + 1)
     v[0] = v_start

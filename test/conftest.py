@@ -3,6 +3,7 @@
 import gc
 import os
 import subprocess
+import tempfile
 from functools import cache
 from pathlib import Path
 
@@ -47,6 +48,9 @@ def pytest_configure(config):
     )
     settings.load_profile('any speed')
     if not hasattr(config, 'workerinput'):
+        state = tempfile.TemporaryDirectory()  # tests leave nothing with the user
+        os.environ['XDG_STATE_HOME'] = state.name
+        config.add_cleanup(state.cleanup)
         config.pluginmanager.register(Failures(config))
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from collections import Counter
 from collections.abc import Sequence
 from html import escape
@@ -12,6 +13,7 @@ from cnc_interp.batch.task import BatchEntry, TaskOutcome, Verdict
 from cnc_interp.core import HOUR
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.report import html
+from cnc_interp.run.program_times import times_table
 
 Results = Sequence[tuple[BatchEntry, TaskOutcome]]
 #: Columns of the table: name with unit, and type. All except the first two and ``cost`` are fields
@@ -34,6 +36,7 @@ COLUMNS = {
     'torque_use': float,
     'contour_used': float,
     'orientation_used': float,
+    'tools': str,
     'notices': str,
     'plan_hash': str,
 }
@@ -58,6 +61,7 @@ def _row(job: BatchEntry, outcome: TaskOutcome, rate: float | None) -> dict[str,
         'machine': job.model.name,
         'verdict': str(row.verdict),
         'notices': '; '.join(row.notices),
+        'tools': json.dumps(row.tools) if row.tools else '',
         'cost': rate * row.run_time / HOUR if rate and row.cycle_time else None,
     }
     return {
@@ -222,4 +226,7 @@ def _cell(row: dict[str, Any], column: str, form: str, wide: int) -> str:
         span = f' colspan="{wide}"' if row['cycle_time_s'] is None else ''
     elif column == 'program' and row['notices']:
         more = f'<details><summary>notices</summary>{escape(row["notices"])}</details>'
+    if column == 'program' and row['tools']:
+        table = escape('\n'.join(times_table(json.loads(row['tools']))))
+        more += f'<details><summary>times by tool</summary><pre>{table}</pre></details>'
     return f'<td{span}>{escape(value)}{more}</td>'

@@ -89,6 +89,8 @@ class Row:
     #: Largest use of the tolerances, as proven [-].
     contour_used: float | None = None
     orientation_used: float | None = None
+    #: Times by tool, as `estimate --json` has them, without the operations.
+    tools: tuple[dict[str, Any], ...] = ()
     notices: tuple[str, ...] = ()  #: Notices of the reader and the planner.
     plan_hash: str = ''  #: Hash of the plan files without their summary.
 
@@ -116,7 +118,7 @@ class TaskOutcome:
     def of_json(content: Any) -> TaskOutcome:
         row = dict(content['row'])
         row['verdict'] = Verdict(row['verdict'])
-        row['notices'] = tuple(row['notices'])
+        row['notices'], row['tools'] = tuple(row['notices']), tuple(row['tools'])
         return TaskOutcome(Row(**row), Cost(**content['cost']))
 
 

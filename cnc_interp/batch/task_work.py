@@ -88,6 +88,9 @@ def _planned(task: Task, processes: int) -> Row:
         contour_used=proof.largest('contour deviation').ratio,
         orientation_used=proof.largest('orientation deviation').ratio,
         notices=(*stream.notices, *filter(None, (collision_text(summary), machine.guessed))),
+        tools=tuple(
+            {k: value for k, value in one.items() if k != 'operations'} for one in summary['tools']
+        ),
         plan_hash=digest,
     )
 

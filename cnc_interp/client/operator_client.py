@@ -36,6 +36,7 @@ from cnc_interp.nodes.node_main import (
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 from cnc_interp.run.overrides import OVERRIDES
+from cnc_interp.run.run_history import RunHistory
 
 __all__ = ['STOPS', 'SWITCHES', 'Answer', 'MachineState', 'OperatorClient']
 
@@ -135,6 +136,7 @@ class OperatorClient(ServedNode):
         #: Names of two bodies that (would) hit each other, and a sentence, by reporting node.
         self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
         self.machine = self.scene = self.setup_file = ''
+        self.history = RunHistory('')
         self.stock = ''  #: Text about the stock removed in the run, if its scene has a stock.
         self._on_state = on_state
         watch_machine(node, self._see_state)
@@ -158,7 +160,8 @@ class OperatorClient(ServedNode):
             for owner in (MACHINE, *OFFERED_BY.values())
         }
         self._simulated = self._knock(MACHINE, 'machine', 'scene', 'setup')
-        self._pending.append(self._knows_machine)
+        self._keeps_rows = self._knock('program_node', 'run_history')
+        self._pending += [self._knows_machine, self._knows_history]
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -220,6 +223,12 @@ class OperatorClient(ServedNode):
         if answer is not None and answer.values:
             self.scene, self.setup_file = (value.string_value for value in answer.values[1:])
             self.machine = answer.values[0].string_value
+        return answer is not None
+
+    def _knows_history(self) -> bool:
+        answer = self._keeps_rows.answer()
+        if answer is not None and answer.values:
+            self.history = RunHistory(answer.values[0].string_value)
         return answer is not None
 
     # Commands -----------------------------------------------------------------------------------

@@ -58,23 +58,15 @@ def estimate_command(options: argparse.Namespace) -> int:
 
 def describe(found: Estimate) -> str:
     """Return the times as a table: a row for each tool, and below it its operations."""
-    head = 'line', 'tool', 'total', 'cutting', 'rapids', 'dwells', 'spindle', 'change'
-    rows = ['{:>8} {:>6}{:>11}{:>11}{:>9}{:>9}{:>9}{:>9}'.format(*head)]
-    for one in found.sections:
-        times = one.times
-        rows.append(
-            f'{one.line:8d} {one.tool:6d}{times.total:11.2f}{times.cutting:11.2f}'
-            f'{times.rapid:9.2f}{times.dwell:9.2f}{times.spindle:9.2f}{one.change:9.2f}'
-        )
-        if len(one.operations) > 1:
-            rows += [f'{op.line:8d}{op.motion:18.2f}  {op.name}' for op in one.operations]
+    from cnc_interp.run.program_times import times_table
+
     within = f' +- {found.half_width:.2g} s (95 %)' if found.half_width else ''
     often = f'{found.stops} wait{"s" * (found.stops > 1)}'
     waits = f', and {often} for the operator' if found.stops else ''
     return '\n'.join(
         [
             f'program        {found.program} on {found.machine}',
-            *rows,
+            *times_table([one.to_json() for one in found.sections]),
             f'total time     {found.total:.2f} s{within}{waits}',
         ]
     )

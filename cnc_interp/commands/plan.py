@@ -146,6 +146,7 @@ def describe(summary: dict[str, Any]) -> str:
         tool_error_text,
         windows_text,
     )
+    from cnc_interp.run.program_times import CHANGE, times_table
 
     notes = summary['start']['notes'] if summary['start'] else []
     switched = [(word, count) for word, count in summary['functions'].items() if count]
@@ -164,6 +165,7 @@ def describe(summary: dict[str, Any]) -> str:
             if (rest := summary['standstill'])
             else []
         ),
+        *(times_table(summary['tools']) if summary['functions'].get(CHANGE) else []),
         f'planning time  {summary["planning_time"]:.3f} s '
         f'(the motion takes {summary["cycle_time"] / max(summary["planning_time"], 1e-9):.3g} '
         'times as long)',

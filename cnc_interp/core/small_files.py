@@ -195,6 +195,12 @@ def share_directory(package: str) -> Path:
     return Path(get_package_share_directory(package))
 
 
+def state_folder() -> Path:
+    """Return the folder in which the programs of this package keep what a user did with them."""
+    state = os.environ.get('XDG_STATE_HOME') or Path.home() / '.local' / 'state'
+    return Path(state) / 'cnc_interp'
+
+
 def config_directory() -> Path:
     """Return the folder ``config``: beside the package, or in the ROS share."""
     source = Path(__file__).resolve().parents[2] / 'config'

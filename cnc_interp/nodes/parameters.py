@@ -75,6 +75,7 @@ PROGRAM = (
     MACHINE,
     *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
     Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
+    Declared('run_history', '', 'CSV file with a row for each run; empty: runs.csv of the user'),
     PEER_TIMEOUT,
     RESEND,
 )

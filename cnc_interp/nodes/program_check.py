@@ -1,5 +1,6 @@
 """Read the program of a goal, and check it to its last block before anything moves."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -53,6 +54,7 @@ class Prepared:
     line: MdiLine | None = None  #: MDI line, whose modal state is kept once executed.
     probe: Probe | None = None  #: Probe after whose answer reading continues.
     stream: ProgramStream | None = None  #: Stream from which reading continues.
+    digest: str = ''  #: SHA-256 of the program.
 
     def __getitem__(self, rows: slice) -> Blocks:
         blocks = self.blocks[rows]
@@ -85,10 +87,13 @@ def prepare(
     named = bool(goal.program) and not text
     if named:
         with open_named(path, folders) as file:
+            digest = hashlib.file_digest(file, 'sha256')
+            file.seek(0)
             content = file.read(LONGEST_TEXT + 1)
         text = '' if len(content) > LONGEST_TEXT else content.decode('utf-8-sig', 'replace')
-    elif len(text) > LONGEST_TEXT:
-        text = ''
+    else:
+        digest = hashlib.sha256(text.encode())
+        text = '' if len(text) > LONGEST_TEXT else text
 
     def opened() -> ProgramStream:
         if named:
@@ -99,6 +104,7 @@ def prepare(
     stream = opened()
     stream.read_live()
     found = check(stream, setup, text, transform, settings, told)
+    found = replace(found, digest=digest.hexdigest())
     if found.probe is None:
         return found
     try:
@@ -124,7 +130,8 @@ def prepare_on(
     before.stream.go_on(stands, at)
     stream, settings = before.stream, before.settings
     following = check(stream, setup, before.text, transform, settings, told, True, stands)
-    return replace(following, is_own_setup=before.is_own_setup, line=before.line)
+    own, line, digest = before.is_own_setup, before.line, before.digest
+    return replace(following, is_own_setup=own, line=line, digest=digest)
 
 
 def prepare_line(

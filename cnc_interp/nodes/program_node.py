@@ -43,10 +43,11 @@ from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.reading import MDI, MdiReader
 from cnc_interp.program.setup_table import SetupTable
+from cnc_interp.run.run_history import RunHistory, RunTimes
 from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.path_messages import function_messages
-from cnc_interp.wire.run_messages import add_executed, modal_state, run_feedback
+from cnc_interp.wire.run_messages import add_executed, modal_state, run_feedback, state_of
 
 
 class Mdi:
@@ -164,6 +165,7 @@ class ProgramNode(Node):
         self._feedback_at = self._worked_at = self._pressed_at = self._alive_at = 0.0
         self._waits_since = math.inf
         self._queue = ProgramQueue()
+        self._history = RunHistory(self._values['run_history'])
         self._contacts: dict[str, ProbeContact] = {}  # the last one, by its run
         tell = self._diagnostics, self._peers.foreign.add
         hear(self, ProbeContact, 'probe_contact', self._see_contact, CONTACTS, *tell)
@@ -210,6 +212,7 @@ class ProgramNode(Node):
         if self._run is None and (following := self._queue.next()) is not None:
             (self._run, self._goal), self._state = following, None
             self._run.take_turn(now)
+            self._times = RunTimes(now)
             self._peers.foreign.clear()
         self._queue.watch()
         self._mdi.tell()
@@ -225,6 +228,7 @@ class ProgramNode(Node):
         state = self._peers.state
         if state is not None and state.program_id == run.run_id.program_id:
             self._state = state
+            self._times.see(state_of(state), now)
         run.contact = self._contacts.get(run.run_id.program_id)
         if run.is_stale(self._table.setup):
             run.check_again(self._prepare(run, self._goal), now)
@@ -232,6 +236,8 @@ class ProgramNode(Node):
         outcome = run.step(self._peers, now, self._values['peer_timeout'])
         if before is Phase.WAITING and run.phase is Phase.OFFERED:
             self._begin(run)
+            if not run.parts:
+                self._times = RunTimes(now)
             self._loaded.publish(run.loaded())
             program = run.preparation.prepared
             assert program is not None
@@ -375,6 +381,7 @@ class ProgramNode(Node):
         if states := [*run.parts, *([self._state] if self._state is not None else [])]:
             add_executed(result, states)
         succeeded = outcome.code is Code.SUCCEEDED
+        self._keep_row(run, result)
         if succeeded:
             self._mdi.keep(run.preparation.prepared)
         level = OK if succeeded else WARN
@@ -388,6 +395,32 @@ class ProgramNode(Node):
         give_back_memory()
         if not succeeded:
             self._queue.give_up(run.name)
+
+    def _keep_row(self, run: ProgramRun, result: Result) -> None:
+        """Write the run into the history; lines by hand are no runs."""
+        goal, times, now = self._goal.request, self._times, time.monotonic()
+        if goal.mdi:
+            return
+        program = run.preparation.prepared
+        row = {
+            'started': times.started.isoformat(timespec='seconds'),
+            'machine': self._transform.machine.name,
+            'program': run.name,
+            'sha256': '' if program is None else program.digest,
+            'operator': goal.operator_name,
+            'outcome': Code(result.code).name.lower(),
+            'predicted_s': f'{goal.predicted_time:.3f}' if goal.predicted_time > 0.0 else '',
+            'actual_s': f'{now - times.begun:.3f}',
+            'motion_s': f'{result.approach_time + result.cycle_time:.3f}',
+            'held_s': f'{times.held:.3f}',
+            'holds': times.holds,
+            'alarms': times.alarms,
+            'message': result.message,
+        }
+        try:
+            self._history.append(row)
+        except InterpError as problem:
+            self._diagnostics.say('history', WARN, str(problem))
 
     def close(self) -> None:
         """Close the node; the sent blocks are still executed, and the look-ahead ends the path."""

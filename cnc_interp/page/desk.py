@@ -34,7 +34,7 @@ from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.run.clearance_stage import REFUSE, setup_text
 from cnc_interp.settings.options import Settings, changed, texts_of
-from cnc_interp.wire.run_messages import goal_of, in_program, settings_from
+from cnc_interp.wire.run_messages import goal_of, in_program, settings_from, user_name
 
 if TYPE_CHECKING:
     from cnc_interp.collision.drawing import DrawnBody
@@ -90,10 +90,14 @@ class Job:
         numbers = ' '.join(part for match in found for part in match.groups() if part)
         self.fault_lines = tuple(sorted(set(map(int, re.findall(r'\d+', numbers)))))
 
-    def goal(self, start: StartChoice) -> RunProgram.Goal:
+    def goal(self, start: StartChoice, operator: str) -> RunProgram.Goal:
         text = self.path.read_text(encoding='utf-8')
         settings = replace(self.settings, from_line=start.line, line_pass=start.which)
-        return goal_of(Path(self.name), settings, changed(settings), text)
+        goal = goal_of(Path(self.name), settings, changed(settings), text)
+        goal.operator_name = operator
+        if self.plan is not None and not start.line:
+            goal.predicted_time = self.plan.run_time
+        return goal
 
 
 class Desk:
@@ -108,6 +112,7 @@ class Desk:
         self.job: Job | None = None
         self.settings = Settings()
         self.start = StartChoice()
+        self.operator = user_name()  #: Whom the next run names.
         self._ways: WayAhead | None = None
         self.lines = LineHistory()
         self.switched = dict.fromkeys(SWITCHES, False)
@@ -230,7 +235,7 @@ class Desk:
         if not is_text(text):
             return Answer(False, f'{name} is no text: choose a file with a program')
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
-        return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice())))
+        return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice(), self.operator)))
 
     async def listed(self, take: Callable[[str, str], Awaitable[Answer]], name: str) -> Answer:
         """Load or queue a program of the folder."""
@@ -372,7 +377,7 @@ class Desk:
             return Answer(False, 'no program is loaded: press load')
         if self.job.failed:
             return Answer(False, self.job.status)
-        started = self.nodes.start_program(self.job.goal(self.start), self._see_end)
+        started = self.nodes.start_program(self.job.goal(self.start, self.operator), self._see_end)
         return await asyncio.wrap_future(started)
 
     async def choose_start(self, line: int, which: int) -> Answer:

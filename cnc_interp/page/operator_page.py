@@ -29,6 +29,7 @@ from cnc_interp.page.readings import (
     readings,
 )
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
+from cnc_interp.page.times_dialog import TimesDialog
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import in_program
@@ -52,6 +53,7 @@ class Page:
     _probe: ProbeDialog
     _folder: FolderDialog
     _editor: EditorDialog
+    _times: TimesDialog
 
     def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool, why: str = ''):
         self._why = why  # the page may not command; empty if it may
@@ -252,6 +254,7 @@ class Page:
             self._editing = key('edit', act=lambda: self._editor.open())
             self._follower = key('queue next', act=lambda: self._pick(waits=True))
             self._checker = key('check', act=partial(self._command, desk.check))
+            key('times', act=lambda: self._times.open())
             self._setter = key('settings', act=lambda: self._settings.open(desk.settings))
             self._follower.tooltip('choose a program that starts when the running one has ended')
         self._label('status', 'status small')
@@ -268,6 +271,7 @@ class Page:
         self._macros = MacroKeys(desk, self._mdi.give)
         self._folder = FolderDialog(desk, self._command)
         self._editor = EditorDialog(desk, self._command)
+        self._times = TimesDialog(desk, self._command)
         self._messages = Messages(self._desk.nodes.alarms)
 
     # Commands: every one is allowed or rejected here, on the server ----------------------------

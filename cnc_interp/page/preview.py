@@ -66,6 +66,8 @@ class Preview:
     rapid: BoolArray  #: (N,): Whether that block is a rapid.
     line: IntArray  #: (N,): Its line of the program.
     cycle_time: float  #: Duration of the whole program [s].
+    run_time: float = 0.0  #: With the times of changes, dwells and the spindle [s].
+    tools: tuple[dict[str, Any], ...] = ()  #: Times by tool, as in summary.json.
     notices: tuple[str, ...] = ()  #: Words that had no effect or were simplified.
     hits: tuple[PlannedHit, ...] = ()  #: Hits of the program, if the plan has a scene.
     bound: str = ''  #: Lower bound of the motion time, as text.
@@ -121,6 +123,8 @@ class Preview:
             rapid=rapid,
             line=line,
             cycle_time=summary['cycle_time'],
+            run_time=summary['cycle_time'] + summary['standstill'],
+            tools=tuple(summary['tools']),
             notices=notices,
             hits=tuple(
                 PlannedHit(hit['line'], tuple(hit['bodies']), tuple(hit['positions']), hit['text'])

@@ -1,12 +1,11 @@
 """The folder of programs that pages list, open and save, and the programs opened last."""
 
-import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from cnc_interp.core import InterpError
-from cnc_interp.core.small_files import write_whole
+from cnc_interp.core.small_files import state_folder, write_whole
 
 SUFFIXES = frozenset(
     {
@@ -47,8 +46,7 @@ class ProgramFolder:
 
     def __init__(self, folder: Path):
         self.folder = folder.resolve()
-        state = Path(os.environ.get('XDG_STATE_HOME') or Path.home() / '.local' / 'state')
-        self._kept = state / 'cnc_interp' / 'recent_programs'
+        self._kept = state_folder() / 'recent_programs'
 
     def listed(self) -> list[Listed]:
         """Return the programs of the folder and its subfolders, the last changed one first."""

@@ -17,6 +17,7 @@ from typing import Any
 from urllib.parse import quote
 
 from fastapi import Response
+from fastapi.responses import FileResponse
 from nicegui import app, ui
 
 from cnc_interp.core import InterpError
@@ -158,6 +159,13 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
         if job is None or number != job.number:
             return Response(status_code=404)
         return Response('\n'.join(job.lines), media_type='text/plain; charset=utf-8')
+
+    @app.get('/runs.csv')
+    def runs() -> Response:
+        file = desk.nodes.history.file
+        if not file.is_file():
+            return Response(status_code=404)
+        return FileResponse(file, media_type='text/csv; charset=utf-8', filename=file.name)
 
     app.add_middleware(Gate, host=served.host, longest=LONGEST_PROGRAM)
     app.timer(WATCH, watch)

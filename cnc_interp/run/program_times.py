@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -62,6 +62,37 @@ class ToolSection:
         ]
         told = {'line': self.line, 'tool': self.tool, **self.times.to_json()}
         return {**told, 'change_s': self.change, 'operations': operations}
+
+
+#: Columns of the table of times: heading, key of the JSON, and width.
+_COLUMNS = (
+    ('total', 'time_s', 11),
+    ('cutting', 'cutting_s', 11),
+    ('rapids', 'rapid_s', 9),
+    ('dwells', 'dwell_s', 9),
+    ('spindle', 'spindle_s', 9),
+    ('change', 'change_s', 9),
+)
+
+
+def times_table(tools: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return lines with the times of each tool, and below it those of its operations.
+
+    ``tools``: the JSON of the sections, as `estimate --json` and summary.json have it.
+    """
+    if not tools:
+        return []
+    lines = ['    line   tool' + ''.join(f'{head:>{width}}' for head, _, width in _COLUMNS)]
+    for one in tools:
+        times = ''.join(f'{one[key]:{width}.2f}' for _, key, width in _COLUMNS)
+        lines.append(f'{one["line"]:8d} {one["tool"]:6d}{times}')
+        operations = one.get('operations', ())
+        lines += [
+            f'{each["line"]:8d}{each["motion_s"]:18.2f}  {each["name"]}'
+            for each in operations
+            if len(operations) > 1
+        ]
+    return lines
 
 
 def operation_names(source: str) -> list[tuple[int, str]]:

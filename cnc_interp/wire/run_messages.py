@@ -1,5 +1,6 @@
 """Messages about a whole run: its settings, the machine's report, its progress and its result."""
 
+import getpass
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -180,7 +181,16 @@ def goal_of(
     wanted = [c for c in choices(settings) if names is None or c.name in names]
     texts = {c.name: c.text_with_unit(getattr(settings, c.name)) for c in wanted}
     pairs = [KeyValue(key=name, value=value) for name, value in texts.items()]
-    return RunProgram.Goal(program=str(program), text=text, settings=pairs)
+    who = user_name()
+    return RunProgram.Goal(program=str(program), text=text, settings=pairs, operator_name=who)
+
+
+def user_name() -> str:
+    """Return the name of the user of this process; empty where it is not known."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return ''
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:

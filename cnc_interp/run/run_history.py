@@ -1,0 +1,88 @@
+"""The runs of a machine, one row each in a CSV file, from which a shop computes its OEE."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from cnc_interp.core import InterpError
+from cnc_interp.core.small_files import state_folder
+from cnc_interp.run.run_state import State
+
+COLUMNS = (
+    *('started', 'machine', 'program', 'sha256', 'operator', 'outcome'),
+    *('predicted_s', 'actual_s', 'motion_s', 'held_s', 'holds', 'alarms', 'message'),
+)
+TAIL = 1 << 16  #: What is read of the end of the file [bytes].
+#: States in which a run waits for the operator, and those in which something stopped it.
+HOLDS = frozenset({State.HOLDING, State.HELD, State.PAUSED, State.AWAY})
+ALARMS = frozenset({State.STARVING, State.STARVED, State.STOPPING, State.FAULT})
+
+
+@dataclass
+class RunTimes:
+    """How a run spends its time, by the states of the machine."""
+
+    begun: float  #: [s]
+    started: datetime = field(default_factory=lambda: datetime.now().astimezone())
+    held: float = 0.0  #: [s]
+    holds: int = 0
+    alarms: int = 0  #: How often a fault, an emergency stop or a lack of setpoints stopped it.
+    _state: State = State.IDLE
+    _seen: float = 0.0
+
+    def see(self, state: State, now: float) -> None:
+        if self._state in HOLDS:
+            self.held += now - self._seen
+        self.holds += state in HOLDS and self._state not in HOLDS
+        self.alarms += state in ALARMS and self._state not in ALARMS
+        self._state, self._seen = state, now
+
+
+class RunHistory:
+    """The file of the rows; ``path``: its name, or '' for ``runs.csv`` of the user."""
+
+    def __init__(self, path: str):
+        self.file = Path(path) if path else state_folder() / 'runs.csv'
+
+    def append(self, row: Mapping[str, object]) -> None:
+        """Write a row to the disk; InterpError where that is not possible."""
+        texts = {name: ' '.join(str(value).split()) for name, value in row.items()}
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            with self.file.open('a+', newline='', encoding='utf-8') as out:
+                fcntl.flock(out, fcntl.LOCK_EX)  # several machines may share the file
+                writer = csv.DictWriter(out, COLUMNS, lineterminator='\n')
+                if not out.tell():
+                    writer.writeheader()
+                elif not self._tail().endswith('\n'):  # a row that was cut off
+                    out.write('\n')
+                writer.writerow(texts)
+                out.flush()
+                os.fsync(out.fileno())
+        except OSError as problem:
+            raise InterpError(
+                f'{self.file}: this run is not in the history: {problem.strerror}'
+            ) from None
+
+    def latest(self, count: int) -> list[dict[str, str]]:
+        """Return the last rows, the latest first; none where the file cannot be read."""
+        try:
+            lines = self._tail().splitlines()
+        except OSError:
+            return []
+        rows = [row for row in csv.reader(lines) if len(row) == len(COLUMNS)]
+        found = [dict(zip(COLUMNS, row, strict=True)) for row in rows if row[0] != COLUMNS[0]]
+        return found[: -count - 1 : -1]
+
+    def _tail(self) -> str:
+        with self.file.open('rb') as file:
+            skipped = max(0, file.seek(0, os.SEEK_END) - TAIL)
+            file.seek(skipped)
+            text = file.read().decode('utf-8', errors='replace')
+        return text.partition('\n')[2] if skipped else text

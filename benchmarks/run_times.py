@@ -28,10 +28,10 @@ from cnc_interp.run.time_fit import (
     Motion,
     TimedProgram,
     TimeFit,
-    Trace,
     TracedRun,
     measured_override,
 )
+from cnc_interp.run.time_records import Trace, load_traces
 from cnc_interp.settings.options import Settings
 
 #: The machine before the fit: a bundled one, with its reference point at the top of Z.
@@ -95,7 +95,7 @@ def main() -> None:
     traces: dict[str, list[tuple[TimedProgram, Trace]]] = {}
     for name in measured:
         files = sorted(options.suite.glob(f'{name}_part*_blocks.csv'))
-        found = [Trace.load(file) for file in files]
+        found = [load_traces(file, options.suite / f'{name}.nc')[0] for file in files]
         plain = TimedProgram.load(options.suite / f'{name}.nc', machine, settings)
         program = plain.overridden(median(measured_override(plain, trace) for trace in found))
         print(f'{name}: feed override {program.override:.1%}')

@@ -119,7 +119,8 @@ def fit_limits_command(options: Namespace) -> int:
     from cnc_interp.core.small_files import read_yaml
     from cnc_interp.machine_model.machine import Machine, find_machine_file
     from cnc_interp.report.identified import fitted_text, time_rows, value_text, write_fitted
-    from cnc_interp.run.time_fit import TimedProgram, TimeFit, Trace, TracedRun, measured_override
+    from cnc_interp.run.time_fit import TimedProgram, TimeFit, TracedRun, measured_override
+    from cnc_interp.run.time_records import cycle_times, load_traces
 
     if len(options.pairs) % 2:
         raise InterpError('each TRACE needs its PROGRAM after it')
@@ -127,12 +128,28 @@ def fit_limits_command(options: Namespace) -> int:
     programs: dict[tuple[Path, float], TimedProgram] = {}
     runs = []
     for file, path in zip(options.pairs[::2], options.pairs[1::2], strict=True):
-        trace = Trace.load(file)
-        plain = programs.setdefault((path, 1.0), TimedProgram.load(path, machine, settings))
-        override = measured_override(plain, trace)
-        program = programs.setdefault((path, override), plain.overridden(override))
-        runs.append(TracedRun.of(program, trace))
-        print(f'{file.name}: {len(runs[-1].windows)} windows, feed override {override:.1%}')
+        if (path, 1.0) not in programs:
+            programs[path, 1.0] = TimedProgram.load(path, machine, settings)
+        plain, before = programs[path, 1.0], len(runs)
+        if times := cycle_times(file):
+            mine = [one for one in times if one.program == path.name]
+            if not mine:
+                raise InterpError(f'{file}: no row has the program {path.name}')
+            runs += TracedRun.of_times(plain, machine, mine, file)
+            print(f'{file.name}: {len(mine)} times of {path.name}')
+            continue
+        short = ''
+        for trace in load_traces(file, path):
+            override = measured_override(plain, trace)
+            program = programs.setdefault((path, override), plain.overridden(override))
+            try:
+                runs.append(TracedRun.of(program, trace))
+            except InterpError as problem:  # one of several runs may be short
+                short = str(problem)
+                continue
+            print(f'{file.name}: {len(runs[-1].windows)} windows, feed override {override:.1%}')
+        if len(runs) == before:
+            raise InterpError(short)
     found = TimeFit(machine, runs, lambda text: print(text, flush=True)).solve()
     for key, pair in found.values.items():
         print(f'  {key:50s} {value_text(*pair)}')

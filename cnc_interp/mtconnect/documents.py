@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -27,6 +28,7 @@ XSI = 'http://www.w3.org/2001/XMLSchema-instance'
 BASE_FRAME = 'machine_frame'
 CATEGORIES = {'SAMPLE': 'Samples', 'EVENT': 'Events', CONDITION: 'Condition'}
 MOTIONS = {'prismatic': 'PRISMATIC', 'revolute': 'REVOLUTE', 'continuous': 'CONTINUOUS'}
+STRANGE = re.compile('[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
 LONGEST_PATH = 1000  #: Longest path that chooses data items [characters].
 
 
@@ -86,7 +88,7 @@ class Agent:
         _component(_sub(root, 'Devices'), self.device)
         try:
             found = root.xpath(path)
-        except etree.XPathError as problem:
+        except (etree.XPathError, ValueError) as problem:
             raise RequestError('INVALID_PATH', f'path: {problem}') from None
         if not isinstance(found, list):
             raise RequestError('INVALID_PATH', 'path names no elements')
@@ -139,7 +141,7 @@ class Agent:
                 deviceUuid=self.device.uuid,
             )
             if tool.remark:
-                _sub(asset, 'Description').text = tool.remark
+                _sub(asset, 'Description').text = sound(tool.remark)
             life = _sub(asset, 'CuttingToolLifeCycle')
             _sub(_sub(life, 'CutterStatus'), 'Status').text = 'AVAILABLE'
             _sub(life, 'ProgramToolNumber').text = str(number)
@@ -157,8 +159,13 @@ class Agent:
 
     def error(self, problem: RequestError) -> bytes:
         root = self._document('Error')
-        _sub(_sub(root, 'Errors'), 'Error', errorCode=problem.code).text = str(problem)
+        _sub(_sub(root, 'Errors'), 'Error', errorCode=problem.code).text = sound(str(problem))
         return _text(root)
+
+
+def sound(text: str) -> str:
+    """Return a text without the characters that XML cannot have."""
+    return STRANGE.sub('\ufffd', text)
 
 
 def _text(root: etree._Element) -> bytes:
@@ -215,7 +222,7 @@ def _observation(place: etree._Element, item: DataItem, one: Observation) -> Non
         known = one.value.capitalize()
         element = _sub(place, known, type=item.type, **told)
         if one.value in (WARNING, FAULT):
-            element.text = one.text
+            element.text = sound(one.text)
             element.set('conditionId', one.code)
         if one.code:
             element.set('nativeCode', one.code)
@@ -224,4 +231,4 @@ def _observation(place: etree._Element, item: DataItem, one: Observation) -> Non
         told['subType'] = item.sub_type
     if item.type.startswith('ASSET_'):
         told['assetType'] = 'CuttingTool'
-    _sub(place, item.element, **told).text = one.value
+    _sub(place, item.element, **told).text = sound(one.value)

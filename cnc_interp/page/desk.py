@@ -235,7 +235,9 @@ class Desk:
         if not is_text(text):
             return Answer(False, f'{name} is no text: choose a file with a program')
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
-        return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice(), self.operator)))
+        return await asyncio.wrap_future(
+            self.nodes.start_program(job.goal(StartChoice(), self.operator))
+        )
 
     async def listed(self, take: Callable[[str, str], Awaitable[Answer]], name: str) -> Answer:
         """Load or queue a program of the folder."""

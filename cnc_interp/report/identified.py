@@ -183,6 +183,8 @@ def _bode(found: IdentifiedAxis, period: float) -> Any:
 
 
 def value_text(value: float, half_width: float) -> str:
+    if half_width == np.inf:
+        return f'{value:.4g} as before: these runs do not show it'
     return f'{value:.4g}' + (f' +- {half_width:.2g}' if np.isfinite(half_width) else '')
 
 
@@ -207,7 +209,9 @@ def time_rows(
 def fitted_text(content: Mapping[str, Any], found: Fitted, names: Sequence[str]) -> str:
     """Return the text of a machine file with the fitted values, and intervals as comments."""
     whole: dict[str, Any] = dict(content)
-    for key, (value, _) in found.values.items():
+    for key, (value, width) in found.values.items():
+        if width == np.inf and key.startswith('limits'):
+            continue  # the runs do not show it
         *path, last = key.split('.')
         place = whole
         for part in path:

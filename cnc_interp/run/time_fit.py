@@ -36,6 +36,8 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.parallel_planner import Planning
 from cnc_interp.run.path_chain import PathChain, batches
+from cnc_interp.run.program_times import ProgramTimes
+from cnc_interp.run.time_records import CycleTime, Trace
 from cnc_interp.settings.options import Settings
 
 SPAN = 3.0  #: Least length of a window [s].
@@ -46,52 +48,12 @@ STEPS = 4
 #: Rows of a part that a fit plans, of how many rows, and lines ignored at its ends.
 CHUNK, EVERY, MARGIN = 1200, 6000, 12
 PRIOR = 0.5  #: Prior standard deviation of a logarithm.
+HIDDEN = 0.8  #: A value counts as not shown above this share of that deviation.
 ROBUST = 0.3  #: Windows with larger residuals get less weight [s].
 CLUSTER = 10  #: Number of consecutive windows whose residuals may be correlated.
 SETTLED = 0.2  #: A feed belongs to a line after this time on it [s].
 HELD = 3  #: A velocity was held if this many feeds agree within 1 %.
 SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
-
-
-@dataclass(frozen=True)
-class Trace:
-    """The record of a control while it ran a program."""
-
-    name: str
-    #: (k,): Times, and the line executed from then on [s].
-    time: FloatArray
-    line: IntArray
-    feed: FloatArray  #: (m, 2): Times and path feeds [s, m/s]; no rows without a file.
-
-    @staticmethod
-    def load(path: Path) -> Trace:
-        """Read ``time_s,block`` and, beside X_blocks.csv, X_feed.csv (time_s,feed_mm_per_s)."""
-        rows = _table(path, 'time_s,block')
-        beside = path.with_name(path.name.replace('_blocks', '_feed'))
-        feed = np.zeros((0, 2))
-        if beside != path and beside.is_file():
-            feed = _table(beside, 'time_s,feed_mm_per_s') * [1.0, 1e-3]
-        if not (np.diff(rows, axis=0) >= 0.0).all():
-            raise InterpError(f'{path}: times and lines must increase; record one run')
-        return Trace(path.name, rows[:, 0], rows[:, 1].astype(np.int64), feed)
-
-    def line_at(self, time: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the line executed at times [s], and for how long it has been executed [s]."""
-        at = np.maximum(np.searchsorted(self.time, time, side='right') - 1, 0)
-        return self.line[at], time - self.time[at]
-
-
-def _table(path: Path, head: str) -> FloatArray:
-    try:
-        with path.open(encoding='utf-8') as text:
-            if text.readline().strip() != head:
-                raise InterpError(f'{path}: must begin with the line {head}')
-            rows = np.loadtxt(text, delimiter=',', ndmin=2)
-    except (OSError, ValueError) as problem:
-        raise InterpError(f'{path}: cannot be read: {problem}') from None
-    if rows.shape[0] < 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
-        raise InterpError(f'{path}: must hold at least two rows of {head}')
-    return np.asarray(rows)
 
 
 @dataclass(frozen=True)
@@ -103,6 +65,7 @@ class TimedProgram:
     functions: Functions
     settings: Settings
     override: float = 1.0
+    whole: bool = False  #: Whether a fit plans all of it, however long it is.
 
     @staticmethod
     def load(path: Path, machine: Machine, settings: Settings) -> TimedProgram:
@@ -126,6 +89,10 @@ class TimedProgram:
         """The first line with motion."""
         return int(self.lines[min(1, len(self.lines) - 1)])
 
+    @property
+    def last(self) -> int:
+        return int(self.lines[-1])
+
     def overridden(self, override: float) -> TimedProgram:
         share = np.where(self.blocks.rapid, 1.0, override / self.override)
         blocks = replace(self.blocks, feedrate=share * self.blocks.feedrate)
@@ -134,7 +101,7 @@ class TimedProgram:
     def sample(self) -> list[slice]:
         """Return the rows that a fit plans: all, or of a long program one part in five."""
         rows = len(self.blocks)
-        if rows <= EVERY:
+        if rows <= EVERY or self.whole:
             return [slice(0, rows)]
         return [slice(max(0, a - 1), a + CHUNK) for a in range(0, rows, EVERY)]
 
@@ -226,6 +193,8 @@ class TracedRun:
     program: TimedProgram
     trace: Trace
     windows: IntArray  #: (w, 2): Events at which windows of plain motion begin and end.
+    #: (w,): What stands still in each window, by the machine file [s]; with cycle times alone.
+    standing: FloatArray | None = None
 
     @staticmethod
     def of(program: TimedProgram, trace: Trace) -> TracedRun:
@@ -243,9 +212,42 @@ class TracedRun:
             raise InterpError(f'{trace.name}: no {SPAN:g} s of motion without a function')
         return TracedRun(program, trace, np.array(windows))
 
+    @staticmethod
+    def of_times(
+        program: TimedProgram, machine: Machine, times: Sequence[CycleTime], source: Path
+    ) -> list[TracedRun]:
+        """Return the runs that a table of cycle times tells of, each with a window for each row.
+
+        The times are those that `estimate` prints: of the program, or of each tool in their order.
+        """
+        program = replace(program, whole=True)
+        gathered = ProgramTimes()
+        gathered.blocks(program.blocks)
+        sections = gathered.sections(program.functions, machine)
+        rests = [one.times.total for one in sections]
+        lines = [one.line for one in sections]
+        if not times or times[0].tool is None:
+            lines, rests = [program.first], [sum(rests) + sum(one.change for one in sections)]
+        runs, count = [], len(lines)
+        for at in range(0, len(times), count):
+            part = times[at : at + count]
+            for one, section in zip(part, sections, strict=False):
+                if one.tool not in (None, section.tool):
+                    text = f'{source}:{one.row}: T{one.tool}, but the next tool of '
+                    raise InterpError(f'{text}{program.name} is T{section.tool}')
+            if len(part) < count:
+                text = f'{source}:{part[-1].row}: T{sections[len(part)].tool} of {program.name}'
+                raise InterpError(f'{text} must follow')
+            time = np.append(0.0, np.cumsum([one.time for one in part]))
+            trace = Trace(source.name, time, np.append(lines, program.last + 1), np.zeros((0, 2)))
+            windows = np.arange(count)[:, None] + [0, 1]
+            runs.append(TracedRun(program, trace, windows, np.array(rests)))
+        return runs
+
     @property
     def measured(self) -> FloatArray:
-        return np.diff(self.trace.time[self.windows], axis=1)[:, 0]
+        took = np.diff(self.trace.time[self.windows], axis=1)[:, 0]
+        return took if self.standing is None else took - self.standing
 
     def planned(self, motion: Motion) -> FloatArray:
         return np.diff(motion.until(self.trace.line[self.windows]), axis=1)[:, 0]
@@ -258,6 +260,8 @@ class TracedRun:
 
     def rests(self, machine: Machine, motion: Motion) -> Iterator[tuple[int, float]]:
         """Yield field numbers of ``Standstill`` and their values around each tool change."""
+        if self.standing is not None:
+            return
         functions, line, t = self.program.functions, self.trace.line, self.trace.time
         changes, starts, stops = (
             functions.standstill(machine.signals, one)
@@ -380,16 +384,23 @@ class TimeFit:
         )
         spread = inverse @ (score.T @ score + (prior * PRIOR) ** 2 * np.eye(6)) @ inverse
         width = SIGMAS * np.sqrt(np.diag(spread))
+        hidden = width > HIDDEN * SIGMAS * PRIOR
+        if hidden.any():  # they stay as they were, and the others follow
+            part = np.linalg.solve(inverse[np.ix_(hidden, hidden)], x[hidden])
+            x = np.where(hidden, 0.0, x - inverse[:, hidden] @ part)
+            width = np.where(hidden, np.inf, width)
         machine, motions = with_parameters(self._machine, x), self.motions(x, whole=True)
         rests: tuple[list[float], ...] = ([], [], [])
         for run, motion in zip(self._runs, motions, strict=True):
             for number, value in run.rests(machine, motion):
                 rests[number].append(value)
-        change, start, stop = (float(np.mean(rest)) if rest else 0.0 for rest in rests)
         speeds = [run.program.functions.speeds(machine.signals) for run in self._runs]
         speed = float(max(np.append(np.concatenate(speeds), 1.0)))
-        reversal = machine.standstill.reversal or USUAL_REVERSAL
-        machine = replace(machine, standstill=Standstill(change, start, stop, reversal, speed))
+        if any(rests):
+            change, start, stop = (float(np.mean(rest)) if rest else 0.0 for rest in rests)
+            reversal = machine.standstill.reversal or USUAL_REVERSAL
+            stands = Standstill(change, start, stop, reversal, speed)
+            machine = replace(machine, standstill=stands)
         assert machine.pace is not None
         parts = np.arange(0, len(off), CLUSTER)
         told = np.add.reduceat(off, parts) / np.add.reduceat(self._measured, parts)
@@ -414,5 +425,6 @@ class TimeFit:
             if rest:
                 half = SIGMAS * np.std(rest, ddof=1) / np.sqrt(len(rest)) if rest[1:] else np.nan
                 values[f'standstill.{key}'] = float(np.mean(rest)) * unit, half * unit
-        values[f'standstill.{SPEED}'] = speed, np.nan
+        if any(rests):
+            values[f'standstill.{SPEED}'] = speed, np.nan
         return Fitted(machine, values, motions)

@@ -1,5 +1,8 @@
 """Programs of the folder, the editor, the queue, and macros of the machine file, on the page."""
 
+import csv
+import urllib.request
+
 import numpy as np
 import pytest
 
@@ -11,6 +14,7 @@ from page_under_test import PanelUnderTest
 
 from cnc_interp.core.small_files import config_directory
 from cnc_interp.processes.node_processes import NODES
+from cnc_interp.run.run_history import RunHistory
 
 LONG = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A0 C0\n' + 'G1 X30 F600\nG1 X0\n' * 200 + 'M30\n'
 WRONG = 'document.querySelectorAll(".edited .wrong")'
@@ -44,6 +48,46 @@ def rewrite(tab, text, field='edited text'):
         'Input.dispatchKeyEvent', type='keyDown', key='a', modifiers=2, commands=['selectAll']
     )
     tab.send('Input.insertText', text=text)
+
+
+def test_the_page_shows_times_by_tool_and_each_run_with_its_operator(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('state') == 'idle')
+    (panel.programs / 'tools.ngc').write_text(
+        'G21 G90 G94\nT3 M6\nS1000 M3\nG0 X0 Y0 Z10\nG1 X5 F1000\nM5\nM30\n'
+    )
+    tab.click_with_mouse('programs')
+    tab.click_with_mouse('load tools.ngc')
+    tab.wait(lambda: tab.text('program') == 'tools.ngc' and tab.text('status') == 'planned')
+    tab.click_with_mouse('times')
+    tab.wait(lambda: 'spindle' in (tab.text('times by tool') or ''))
+    (line,) = tab.text('times by tool').splitlines()[1:]
+    row = line.split()
+    total, cutting = map(float, row[2:4])
+    assert row[:2] == ['2', '3'] and total == cutting > 0.3  # 5 mm, F1000
+    rewrite(tab, 'Grace', 'who')
+    tab.click_with_mouse('set operator')
+    tab.click_with_mouse('close times')
+    panel.press_key(tab, 'cycle start', lambda: panel.loaded and tab.text('state') != 'idle')
+
+    def rows():
+        with urllib.request.urlopen(f'{panel.page.address}runs.csv') as answer:
+            found = csv.DictReader(answer.read().decode().splitlines())
+        return [each for each in found if each['program'] == 'tools.ngc']
+
+    def ended():
+        if tab.text('why').startswith('put tool'):
+            tab.click('cycle start')
+        return (RunHistory('').file.exists() and rows()) or False
+
+    panel.spin_until(ended)
+    (told,) = rows()
+    assert told['operator'] == 'Grace' and told['outcome'] == 'succeeded'
+    assert float(told['predicted_s']) == pytest.approx(total, abs=0.01)
+    tab.click_with_mouse('times')
+    tab.wait(lambda: 'Grace' in (tab.text('runs') or ''))
+    assert told['actual_s'] in tab.text('runs')
+    tab.click_with_mouse('close times')
 
 
 def test_a_program_is_opened_edited_and_saved_under_another_name(panel):

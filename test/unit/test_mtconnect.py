@@ -67,6 +67,17 @@ def bench():
     return Bench()
 
 
+def test_characters_that_xml_cannot_have_spoil_no_document(bench, schemas):
+    """A request with %00, or a program with a control character, closed the connection."""
+    for target in ('/%00', '/sample?path=//x%00', '/asset/%01'):
+        status, document = bench.requests.answer(target)
+        assert status in (400, 404) and schemas['Error'].validate(etree.fromstring(document))
+    bench.store.observe({'block': 'G1 X1 \x1a\x00', 'program': '\x0b.ngc'})
+    bench.store.condition('logic', FAULT, 'program_node: program', 'bad word \x02')
+    assert schemas['Streams'].validate(bench.get('/current'))
+    assert 'G1 X1 \ufffd\ufffd' in [one.text for one in bench.get('/current').iter()]
+
+
 def named(root, name):
     return root.xpath(f'//*[local-name()="{name}"]')
 

@@ -1,6 +1,7 @@
 """Limits and times fitted to recorded runs: known ones are found, unseen parts are predicted."""
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 import yaml
 
 from cnc_interp.commands.cli import main
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run import time_fit
-from cnc_interp.run.time_fit import TimedProgram, TimeFit, Trace, TracedRun, measured_override
+from cnc_interp.run.time_fit import TimedProgram, TimeFit, TracedRun, measured_override
+from cnc_interp.run.time_records import CycleTime, Trace, load_traces
 from cnc_interp.settings.options import Settings
 
 SUITE = Path(__file__).parents[3] / 'shared/suites/nist-box'
@@ -119,20 +122,129 @@ def test_known_limits_are_found_within_their_intervals(recorded, capsys):
 @pytest.mark.parametrize(
     ('text', 'told'),
     [
-        ('a,b\n1,2\n', 'must begin with the line time_s,block'),
-        ('time_s,block\n1,2\nx,3\n', 'cannot be read'),
-        ('time_s,block\n1,2\n0.5,3\n', 'must increase'),
+        ('a,b\n1,2\n', 'r_blocks.csv:1: must begin with the line time_s,block or'),
+        ('time_s,block\n1,2\nx,3\n', 'r_blocks.csv:3: x,3: must hold numbers'),
+        ('time_s,block\n1,2\n\n1,2,3\n', 'r_blocks.csv:4: 1,2,3'),
+        ('time_s,block\n1,2\n0.5,3\n', 'r_blocks.csv:3: times must increase'),
         ('time_s,block\n1,2\n', 'at least two rows'),
         ('time_s,block\n1,2\n1.5,3\n', 'no 3 s of motion'),
+        ('time_s,number\n1,10\n2,70\n', 'r_blocks.csv:3: p.ngc has no line N70'),
+        ('program,time_s\nother.ngc,3\n', 'no row has the program p.ngc'),
+        ('program,time_s\np.ngc,3 s\n', 'r_blocks.csv:2: 3 s: must hold numbers'),
+        (
+            'program,tool,time_s\np.ngc,3,3\n',
+            'r_blocks.csv:2: T3, but the next tool of p.ngc is T1',
+        ),
+        ('program,tool,time_s\n\np.ngc,1,3\n', 'r_blocks.csv:3: T2 of p.ngc must follow'),
     ],
 )
-def test_a_trace_that_cannot_be_used_is_one_line(tmp_path, capsys, text, told):
+def test_a_record_that_cannot_be_used_is_one_line(tmp_path, capsys, text, told):
     (tmp_path / 'r_blocks.csv').write_text(text)
-    (tmp_path / 'p.ngc').write_text('G21 G90\nG0 X0 Y0 Z0\nG1 X1 F100\nM2\n')
+    lines = ['G21 G90', 'N10 T1 M6', 'G0 X0 Y0 Z0', 'N20 G1 X1 F100', 'T2 M6', 'G1 X0', 'M2', '']
+    (tmp_path / 'p.ngc').write_text('\n'.join(lines))
     words = [str(tmp_path / name) for name in ('r_blocks.csv', 'p.ngc')]
-    assert main(['fit-limits', *words, '--machine', 'xyz', '--out', str(tmp_path / 'm')]) == 2
+    assert main(['fit-limits', *words, '--machine', 'vmc', '--out', str(tmp_path / 'm')]) == 2
     line = capsys.readouterr().err
     assert told in line and line.count('\n') == 1
+
+
+PLAIN = 'G21 G90\nN10 G0 X0\nN20 G1 X1 F100\nN10 X2\nN20 X3\nN30 X4\nN10 X5\nM2\n'
+
+
+def observed(*rows):
+    """An MTConnect document of observations: kind, seconds, text."""
+    items = ''.join(
+        f'<{kind} timestamp="2026-01-01T00:00:{second:06.3f}Z" sequence="{number}" '
+        f'dataItemId="x">{text}</{kind}>'
+        for number, (kind, second, text) in enumerate(rows, 1)
+    )
+    space = 'urn:mtconnect.org:MTConnectStreams:2.4'
+    return f'<?xml version="1.0"?><MTConnectStreams xmlns="{space}">{items}</MTConnectStreams>'
+
+
+def traces(tmp_path, name, text):
+    (tmp_path / 'p.ngc').write_text(PLAIN)
+    (tmp_path / name).write_text(text)
+    return load_traces(tmp_path / name, tmp_path / 'p.ngc')
+
+
+def test_numbers_of_lines_that_restart_are_told_apart_by_their_order(tmp_path):
+    (one,) = traces(tmp_path, 'r.csv', 'time_s,number\n0,0\n1,10\n2,20\n3,10\n4,30\n5,10\n')
+    assert one.line.tolist() == [2, 3, 4, 6, 7] and one.time.tolist() == [1, 2, 3, 4, 5]
+    # A record of two runs: the lines begin again.
+    found = traces(tmp_path, 'r.csv', 'time_s,block\n1,2\n2,4\n3,8\n9,2\n10,5\n')
+    assert [each.line.tolist() for each in found] == [[2, 4, 8], [2, 5]]
+    assert found[1].time.tolist() == [9, 10]
+
+
+def test_streams_of_mtconnect_and_traces_of_a_sinumerik_are_records(tmp_path):
+    first = observed(
+        ('Program', 0, 'other.ngc'),
+        ('LineNumber', 0, '4'),
+        ('Program', 1, 'p.ngc'),
+        ('LineNumber', 1, '2'),
+        ('PathFeedrate', 1.5, '250'),
+    )
+    second = observed(*[('Availability', 0, 'x')] * 5, ('LineNumber', 2.25, '3'))
+    (one,) = traces(tmp_path, 'r.xml', f'{first}\r\n--part\r\nContent-length: 9\r\n\r\n{second}')
+    assert one.line.tolist() == [2, 3] and one.time.tolist() == [1.0, 2.25]
+    assert one.feed.tolist() == [[1.5, 0.25]]
+    labels = observed(*[('LineLabel', k, f'N{n}') for k, n in enumerate((10, 20, 10, 30))])
+    (one,) = traces(tmp_path, 'r.xml', labels)
+    assert one.line.tolist() == [2, 3, 4, 6]
+    names = '/Channel/ProgramInfo/actLineNumber[u1]', '/Channel/State/actFeedRateIpo[u1]'
+    signals = ''.join(f'<dataSignal name="{name}"/>' for name in names)
+    rows = (
+        ('0.0', 'f1="2"'),
+        ('0.5', 'f1="2" f2="600"'),
+        ('1.0', 'f1="3" f2="9218868437227405312"'),
+    )
+    records = ''.join(f'<rec time="{time}" {values}/>' for time, values in rows)
+    frame = f'<dataFrame>{signals}{records}</dataFrame>'
+    (one,) = traces(tmp_path, 'r.xml', f'<trace><traceData>{frame}</traceData></trace>')
+    assert one.line.tolist() == [2, 3] and one.time.tolist() == [0.0, 1.0]
+    assert one.feed.tolist() == [[0.5, 0.01]]  # 600 mm/min
+    for text, told in (('<a>\n<b>', ':2: no XML'), ('<a/>', 'neither MTConnectStreams nor')):
+        with pytest.raises(InterpError, match=told):
+            traces(tmp_path, 'r.xml', text)
+
+
+def fitted_to(folder, rows):
+    """Fit the guess to cycle times; return the time of each tool by it, and its text."""
+    (folder / 'times.csv').write_text(rows)
+    words = ['times.csv', 'p.ngc', '--machine', 'guess.yaml', '--out', 'fitted.yaml']
+    words = [word if word[0] == '-' else str(folder / word) for word in words]
+    assert main(['fit-limits', *words]) == 0
+    machine = Machine.load(folder / 'fitted.yaml')
+    program = TimedProgram.load(folder / 'p.ngc', machine, Settings())
+    times = [CycleTime(2, 'p.ngc', tool, 1.0) for tool in (1, 2, 3)]
+    (run,) = TracedRun.of_times(program, machine, times, folder / 'times.csv')
+    planned = run.planned(program.motion(machine))
+    return planned + run.standing, (folder / 'fitted.yaml').read_text()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('by_tool', [True, False])
+def test_cycle_times_that_a_shop_wrote_down_bring_the_plan_near_them(recorded, capsys, by_tool):
+    capsys.readouterr()
+    stands = TRUTH[TRUTH.index('standstill') :]
+    (recorded / 'guess.yaml').write_text(GUESS + stands)
+    words = ['estimate', str(recorded / 'p.ngc'), '--json', '--machine']
+    assert main([*words, str(recorded / 'guess.yaml')]) == 0
+    guessed = json.loads(capsys.readouterr().out)
+    assert main([*words, str(recorded / 'truth.yaml')]) == 0
+    true = json.loads(capsys.readouterr().out)
+    rows = ''.join(f'p.ngc,{one["tool"]},{one["time_s"]}\n' for one in true['tools'])
+    total = f'program,time_s\np.ngc,{true["total_s"]}\n'
+    found, text = fitted_to(recorded, f'program,tool,time_s\n{rows}' if by_tool else total)
+    wanted = np.array([one['time_s'] for one in true['tools']])
+    before = np.array([one['time_s'] for one in guessed['tools']])
+    assert np.abs(before / wanted - 1.0).max() > 0.05
+    assert found == pytest.approx(wanted, rel=0.02 if by_tool else 0.04)
+    # Three times show no single limit: those that they do not show stay as they were.
+    assert 'as before: these runs do not show it' in text
+    content = yaml.safe_load(text)
+    assert content['standstill'] == yaml.safe_load(TRUTH)['standstill']
 
 
 def test_parts_of_a_long_program_take_their_time_in_the_whole(tmp_path, monkeypatch):
@@ -172,7 +284,7 @@ def test_sections_of_a_real_machine_are_predicted_from_another_part(tmp_path):
 
     def recorded_runs(name, numbers):
         for number in numbers:
-            trace = Trace.load(SUITE / f'{name}_part{number}_blocks.csv')
+            (trace,) = load_traces(SUITE / f'{name}_part{number}_blocks.csv', SUITE / f'{name}.nc')
             program = TimedProgram.load(SUITE / f'{name}.nc', machine, settings)
             yield TracedRun.of(program.overridden(measured_override(program, trace)), trace)
 

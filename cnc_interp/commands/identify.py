@@ -126,7 +126,7 @@ def fit_limits_command(options: Namespace) -> int:
         raise InterpError('each TRACE needs its PROGRAM after it')
     machine, settings = Machine.load(options.machine), settings_from(options)
     programs: dict[tuple[Path, float], TimedProgram] = {}
-    runs = []
+    runs: list[TracedRun] = []
     for file, path in zip(options.pairs[::2], options.pairs[1::2], strict=True):
         if (path, 1.0) not in programs:
             programs[path, 1.0] = TimedProgram.load(path, machine, settings)

@@ -7,9 +7,10 @@ import shutil
 import stat
 import sys
 from collections.abc import Sequence
+from io import BufferedReader
 from math import isfinite
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import yaml
 
@@ -46,7 +47,7 @@ def require_allowed(path: Path, folders: Sequence[str]) -> Path:
     return real
 
 
-def open_named(path: Path, folders: Sequence[str] | None) -> BinaryIO:
+def open_named(path: Path, folders: Sequence[str] | None) -> BufferedReader:
     """Open a file for reading; raises OSError, and InterpError as ``require_allowed`` does.
 
     None means that the user of this process named the file: anything readable is allowed then,

@@ -396,7 +396,7 @@ class ProgramNode(Node):
         if not succeeded:
             self._queue.give_up(run.name)
 
-    def _keep_row(self, run: ProgramRun, result: Result) -> None:
+    def _keep_row(self, run: ProgramRun, result: RunProgram.Result) -> None:
         """Write the run into the history; lines by hand are no runs."""
         goal, times, now = self._goal.request, self._times, time.monotonic()
         if goal.mdi:

@@ -73,6 +73,7 @@ ALL = (
     Benchmark('long_run', 'measured/README.md', '--blocks 1000000 --feed 3400 --busy 2'),
     Benchmark('page_load', 'measured/README.md', '--seconds 30 --rounds 3'),
     Benchmark('cpu_share', 'measured/README.md', '--seconds 25 --run'),
+    Benchmark('mtconnect', 'measured/README.md', '--minutes 25'),
 )
 
 

@@ -50,6 +50,7 @@ ALL = (
     Benchmark('nbuffer', 'how_it_works/cam.md', '--tiles'),
     Benchmark('compensation', 'measured/drives.md'),
     Benchmark('learnt', 'measured/drives.md'),
+    Benchmark('geometric_errors', 'geometric_errors.md', '1000', '3'),
     Benchmark('tool_error', 'measured/drives.md', 'examples/s_path.apt examples/pyramid.ngc'),
     Benchmark('identified', 'measured/drives.md'),
     Benchmark('trajectory', 'measured/drives.md', 'examples/pyramid.ngc'),

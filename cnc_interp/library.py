@@ -14,7 +14,7 @@ from cnc_interp.core import DEG, MM, MS, FloatArray, InterpError
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.machine_model.transform_port import Transform, reached
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.reading import Program, read_program, read_text
 from cnc_interp.proof.plan_files import BLOCK_COLUMNS, PlanFiles
@@ -68,7 +68,7 @@ def axis_path_from(
     spline = make_interp_spline(s, q, k=DEGREE)
     jets = np.stack([spline(s, nu) for nu in range(4)])
     jets[0] = q
-    tip, axis = Transform.of(machine).forward(q)
+    tip, axis = reached(Transform.of(machine), q)
     stop = np.zeros(len(s), dtype=np.bool_)
     stop[[0, -1]] = True
     return AxisPath(

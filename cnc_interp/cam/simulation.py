@@ -15,7 +15,7 @@ from cnc_interp.core import MM, UM, FloatArray, norm
 from cnc_interp.drives.tool_error import SETTLING
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.machine_model.transform_port import Transform, reached
 from cnc_interp.program import Program
 from cnc_interp.proof.plan_files import PlanFiles
 
@@ -58,7 +58,7 @@ def programmed(program: Program) -> Motion:
 
 
 def planned(plan: PlanFiles, machine: Machine) -> Motion:
-    return thinned(Motion('planned', *Transform.of(machine).forward(plan.position)))
+    return thinned(Motion('planned', *reached(Transform.of(machine), plan.position)))
 
 
 def executed(plan: PlanFiles, machine: Machine, model: Machine | None = None) -> Motion:

@@ -15,8 +15,10 @@ from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_run import RecordedRun
 from cnc_interp.client.sent_setpoints import SentSetpoints, rows_of
 from cnc_interp.core import FloatArray
+from cnc_interp.machine_model.error_map import ErrorMap
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import FOLLOWS
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.wire.run_messages import run_id_of
@@ -139,8 +141,9 @@ def _leading(rows: FloatArray, expected: FloatArray) -> int:
 def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
     """Compare executed setpoints with the sent ones and with the reports of the machine."""
     sent = run.sent
-    follower, told = Follower(sent), ToldStates(bag, run)
-    feedback = FeedbackRecord(bag, run)
+    errors = Transform.of(machine).errors
+    follower, told = Follower(sent), ToldStates(bag, run, errors)
+    feedback = FeedbackRecord(bag, run, errors)
     for message in run.executed():
         rows = rows_of(message)
         told.compare(follower.count, rows, message.axis_count)
@@ -158,7 +161,8 @@ def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
 class ToldStates:
     """States of the machine; each must agree with the setpoints executed by then."""
 
-    def __init__(self, bag: Bag, run: RecordedRun):
+    def __init__(self, bag: Bag, run: RecordedRun, errors: ErrorMap):
+        self._errors = errors
         states = [m for m in bag.messages('machine_state') if m.program_id == run.program_id]
         self._states = sorted(states, key=lambda state: int(state.samples))
         self._next, self._threads = 0, bool(run.followed)  # the first state not compared yet
@@ -198,7 +202,9 @@ class ToldStates:
             place = state.sequence, state.line_number, state.path_position
             same = place == (row[BLOCK], row[LINE], row[S])
             # In a thread the axes move, and their setpoints are counted when it has ended.
-            same &= self._threads or np.array_equal(state.commanded_positions, row[:axes])
+            same &= self._threads or np.array_equal(
+                state.commanded_positions, self._errors.nominal(row[None, :axes])[0]
+            )
             if not same and not self._wrong:
                 text = f'a machine_state after {state.samples} setpoints does not say where'
                 self._wrong.append(f'{text} the axes were commanded to')
@@ -247,7 +253,8 @@ class ToldStates:
 class FeedbackRecord:
     """Actual positions: a row for each executed setpoint, and the places of contacts."""
 
-    def __init__(self, bag: Bag, run: RecordedRun):
+    def __init__(self, bag: Bag, run: RecordedRun, errors: ErrorMap):
+        self._errors = errors
         mine = bag.spooled('axis_feedback').where(lambda m: m.program_id == run.program_id)
         self._rows = mine
         self._places = {(run_id_of(m), m.first_sample): k for k, m in enumerate(mine)}
@@ -268,7 +275,7 @@ class FeedbackRecord:
             return
         if not self._contacts:
             return
-        rows = np.reshape(positions, (count, -1))
+        rows = self._errors.nominal(np.reshape(positions, (count, -1)))
         way = np.concatenate([self._last, rows]) if len(self._last) else rows
         self._last = rows[-1:]
         for contact in self._contacts:

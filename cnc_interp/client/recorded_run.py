@@ -25,7 +25,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine.jog import JOG
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import ARMED
-from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.machine_model.transform_port import Transform, reached
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
@@ -229,7 +229,7 @@ class RecordedRun:
                 near = path.cell_block[max(cell, 0)] + np.arange(-BATCH, BATCH)
                 near = near[(near >= 1) & (near < len(blocks))]
                 q = evaluate(path, np.array([first.continue_at]))[0]
-                tip, axis = Transform.of(machine).forward(q)
+                tip, axis = reached(Transform.of(machine), q)
                 off = np.linalg.norm(blocks.tip[near - 1] - tip, axis=1)
                 off += self.flank_height * np.linalg.norm(blocks.axis[near - 1] - axis, axis=1)
                 beside = np.abs(near - path.cell_block[cell])

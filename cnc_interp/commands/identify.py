@@ -116,8 +116,7 @@ def _write(options: Namespace, text: str, write_page: Callable[[Path], None]) ->
 
 def fit_limits_command(options: Namespace) -> int:
     """Fit limits and times of a machine file to recorded runs, so that plans predict run times."""
-    from cnc_interp.core.small_files import read_yaml
-    from cnc_interp.machine_model.machine import Machine, find_machine_file
+    from cnc_interp.machine_model.machine import Machine, content_of
     from cnc_interp.report.identified import fitted_text, time_rows, value_text, write_fitted
     from cnc_interp.run.time_fit import TimedProgram, TimeFit, TracedRun, measured_override
     from cnc_interp.run.time_records import cycle_times, load_traces
@@ -155,8 +154,7 @@ def fit_limits_command(options: Namespace) -> int:
         print(f'  {key:50s} {value_text(*pair)}')
     for row in time_rows(runs, found):
         print('{}, lines {}: measured {} s, planned {} s, {}'.format(*row))
-    content = read_yaml(find_machine_file(options.machine))
-    text = fitted_text(content, found, [run.trace.name for run in runs])
+    text = fitted_text(content_of(options.machine), found, [run.trace.name for run in runs])
     return _write(options, text, partial(write_fitted, runs, found))
 
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 
-from cnc_interp.core import DEG, INCH, MM, InterpError, MachineError
+import numpy as np
+
+from cnc_interp.core import DEG, INCH, MM, FloatArray, InterpError, MachineError
 from cnc_interp.machine_model.demands import demand
 
 HAL_LIBRARY = Path('/usr/share/linuxcnc/hallib')  #: HAL files of LinuxCNC itself.
@@ -72,6 +74,15 @@ def number(text: str, letter: str, key: str) -> float:
         value = float('nan')
     demand(isfinite(value), f'must be a number, not {text!r}', f'{key} of {letter}')
     return value
+
+
+def comp_file(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the columns of a COMP_FILE: nominal, forward and reverse. Raises MachineError."""
+    rows = [line.split() for line in map(str.strip, _text(path).splitlines()) if line]
+    rows = [row[:3] for row in rows if row[0][0] in '+-.0123456789']
+    demand(len(rows) > 1 and all(len(row) == 3 for row in rows), f'{path.name} has no such rows')
+    table = np.array([[number(text, path.name, 'a row') for text in row] for row in rows])
+    return table[:, 0], table[:, 1], table[:, 2]
 
 
 def read_ini(path: Path) -> Ini:

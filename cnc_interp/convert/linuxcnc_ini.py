@@ -7,11 +7,13 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from cnc_interp.convert.linuxcnc_files import Ini, number, read_ini
-from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, MachineError
+from cnc_interp.convert.linuxcnc_files import Ini, comp_file, number, read_ini
+from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, UM, MachineError
 from cnc_interp.machine_model.demands import demand
+from cnc_interp.machine_model.geometric_errors import error_table
 from cnc_interp.machine_model.machine import from_mapping
 
 JERK = 10.0  #: Jerk where the INI has none, over the acceleration [1/s].
@@ -25,7 +27,6 @@ ABOUT = {'A': [1, 0, 0], 'B': [0, 1, 0], 'C': [0, 0, 1]}
 #: Keys of ``[AXIS_L]`` and ``[JOINT_N]`` that change nothing here, and why.
 OF_AXES = {
     'BACKLASH': 'play is not compensated',
-    'COMP_FILE': 'errors of the screw are not compensated',
     'MIN_FERROR': 'the limit of the following error does not depend on the velocity',
     'HOME': 'an axis stays where it has found its switch',
     'HOME_FINAL_VEL': 'an axis stays where it has found its switch',
@@ -120,6 +121,9 @@ def _content(found: Import) -> dict[str, Any]:
     errors = {letter: axis.following_error() for letter, axis in axes.items()}
     if errors := {letter: error for letter, error in errors.items() if error is not None}:
         content['following_errors'] = errors
+    tables = {letter: axis.errors() for letter, axis in axes.items()}
+    if tables := {letter: table for letter, table in tables.items() if table is not None}:
+        content['errors'] = tables
     _name_ignored(found, joints)
     return content | _homing(axes)
 
@@ -200,6 +204,30 @@ class _Axis:
             self.found.ignore('limits nothing', f'FERROR of {self.letter}')
             return None
         return _rounded(error) if error > 0.0 else None
+
+    def errors(self) -> dict[str, list[float]] | None:
+        """Return the errors of its screw, from its COMP_FILE; None without a sound one."""
+        motor, key = self.motors[0], f'COMP_FILE of {self.letter}'
+        name = motor.get('COMP_FILE', '').partition('#')[0].strip()
+        if not name:
+            return None
+        try:
+            demand(self.letter in 'XYZ' and len(self.motors) == 1, 'for one motor of X, Y or Z')
+            at, ahead, back = comp_file(self.found.ini.path.parent / name)
+            trims = self.of_motor('COMP_FILE_TYPE') != 0.0  # what is added, else where it comes to
+            error = -0.5 * (ahead + back) if trims else 0.5 * (ahead + back) - at
+            table = {
+                'at_mm': [_rounded(x * self.size) for x in at],
+                f'E{self.letter * 2}_um': [_rounded(x * self.size * MM / UM) for x in error],
+            }
+            travel = np.array(self.travel) * MM
+            error_table(table, self.letter, travel, np.zeros(6), Path())
+        except MachineError as problem:
+            self.found.ignore(str(problem), key)
+            return None
+        if (ahead != back).any():
+            self.found.notes.append(f'{key}: the mean of both directions; the rest is play')
+        return table
 
     def switch(self) -> float | None:
         """Return the position of its reference switch [mm or deg]; None without one."""

@@ -17,7 +17,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import FINE, sample_segments
 from cnc_interp.machine_model.joint_chain import JointChain
-from cnc_interp.machine_model.transform_port import Transform, start_positions
+from cnc_interp.machine_model.transform_port import Transform, reached, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
@@ -258,6 +258,7 @@ class AxisPathBuilder:
         stands = axes.Stands(self._stands, np.array([self._branch]), self.flank_height)
         status, counts, early, steps, left, right, tips, tools = sample_segments(
             self.transform.packed,
+            self.transform.errors.packed,
             float(np.sin(self.machine.singular_cone)),
             self._axes,
             axes.SegmentRows.of(segments, motion),
@@ -277,7 +278,7 @@ class AxisPathBuilder:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])
         elif segments.interpolation[0] != POSES:
-            tips, tools = self.transform.forward(np.concatenate([left[:, 0], right[-1:, 0]]))
+            tips, tools = reached(self.transform, np.concatenate([left[:, 0], right[-1:, 0]]))
         elif self._joints is None and (guided := guides[:, axes.GUIDE_FROM] < 1.0).any():
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             there = np.append(guided[segment], guided[-1])

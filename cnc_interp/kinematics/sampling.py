@@ -11,6 +11,7 @@ from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics import segment_axes
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 from cnc_interp.kinematics.segment_axes import Place, SegmentRows, Stands
+from cnc_interp.machine_model import error_map
 from cnc_interp.smoothing.segments import CORNER, SPLINE, corner_breaks
 
 CELL_ERROR = 1e-10  #: Largest error of the septic inside a cell [m or rad];
@@ -21,6 +22,7 @@ THIRD_ERROR = 0.01
 ROUNDING, ROUNDING_PER_METRE = 1e-12, 4e-12
 FINEST_CELL = 1e-10  #: Shorter cells are not divided, because s itself is rounded [m].
 SAME_PARAMETER = 1e-12  #: Parameters nearer than this are the same place.
+WIDEST = 2.0  #: Cells of a machine with errors are at most so many pieces of their tables long.
 MOST_CELLS = 4096  #: A segment is cut into at most this many cells.
 #: Parameters between the cells of a corner and of any other segment, before refinement.
 CORNER_GRID = np.linspace(0.0, 1.0, 13)
@@ -48,6 +50,25 @@ def septic_fits(
         if abs(q_sss - exact[3, i]) > THIRD_ERROR * size + rounding / h**3:
             return False
     return True
+
+
+@njit(cache=True, nogil=True)
+def in_machine(packed: FloatArray, errors: FloatArray, q: FloatArray) -> FloatArray:
+    """Return commanded axes and derivatives, (4, n); without errors the nominal ones ``q``."""
+    if packed.ndim == 1:
+        if len(errors) > 0:
+            return error_map.commanded(errors, packed, q, error_map.STEPS)
+    return q
+
+
+@njit(cache=True, nogil=True)
+def too_wide(errors: FloatArray, left: FloatArray, right: FloatArray) -> bool:
+    """Tell whether waves of the errors may hide between the places at which a cell is checked."""
+    if len(errors) > 0:
+        for i in range(3):
+            if abs(right[0, i] - left[0, i]) > WIDEST * error_map.spacing(errors, i):
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True)
@@ -86,6 +107,7 @@ def roomier(array: FloatArray, cells: int) -> FloatArray:
 @njit(cache=True, nogil=True)
 def sample_segments(
     packed: FloatArray,
+    errors: FloatArray,
     cone_sine: float,
     axes: IntArray,
     segments: SegmentRows,
@@ -103,10 +125,11 @@ def sample_segments(
 ]:
     """Cut consecutive segments into cells; arguments as in ``sample``, one row per segment.
 
-    ``axes``: columns of X Y Z, rotary and extra axes that the machine has. ``stands`` is updated
-    to the positions at the end. Returns FINE, or why the segment after the last counted one cannot
-    be cut; number of cells of each segment, and of those before u = 0.5; lengths of the cells [m];
-    axes and three derivatives at both ends (N, 4, n_axes); tips and tool axes (N + 1, 3).
+    ``errors``: see ``error_map``. ``axes``: columns of X Y Z, rotary and extra axes that the
+    machine has. ``stands`` is updated to the nominal positions at the end. Returns FINE, or why
+    the segment after the last counted one cannot be cut; number of cells of each segment, and of
+    those before u = 0.5; lengths of the cells [m]; commanded axes and three derivatives at both
+    ends (N, 4, n_axes); tips and tool axes (N + 1, 3).
     """
     n, n_axes = len(segments.kind), len(axes)
     counts, early = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
@@ -142,6 +165,7 @@ def sample_segments(
             break
         start = Place(0.0, 0.0, 0.0)
         q_a, tip, tool, sine = segment_axes.sample(packed, segment, stands, guide, start)
+        c_a = in_machine(packed, errors, q_a)
         if count == 0:
             tips[0], tools[0] = tip, tool
         while waiting > 0 and sine >= least:
@@ -150,6 +174,7 @@ def sample_segments(
             if fresh:  # on a break the left end is another one than the last right end
                 left_end = Place(way, a, middle)
                 q_a = segment_axes.sample(packed, segment, stands, guide, left_end)[0]
+                c_a = in_machine(packed, errors, q_a)
                 fresh = False
             if free:  # whole turns follow the left end of the cell
                 stands.q[:] = q_a[0]
@@ -164,7 +189,11 @@ def sample_segments(
             right_end = Place(way + h, b, middle)
             q_b, tip, tool, sine = segment_axes.sample(packed, segment, stands, guide, right_end)
             room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
-            fits = not room or septic_fits(q_a, q_b, h, half, q_m, axes, rounding)
+            c_b, fits = in_machine(packed, errors, q_b), not room
+            if room:
+                c_m = in_machine(packed, errors, q_m)
+                fits = septic_fits(c_a, c_b, h, half, c_m, axes, rounding)
+                fits = fits and not too_wide(errors, c_a, c_b)
             if sine >= least and not fits:
                 ends[waiting] = middle
                 waiting += 1
@@ -172,11 +201,12 @@ def sample_segments(
             waiting -= 1
             steps[count] = h
             for i in range(n_axes):
-                left[count, :, i], right[count, :, i] = q_a[:, axes[i]], q_b[:, axes[i]]
+                left[count, :, i], right[count, :, i] = c_a[:, axes[i]], c_b[:, axes[i]]
             count += 1
             if b <= 0.5:
                 early[row] = count - begin
             tips[count], tools[count] = tip, tool
+            c_a = c_b
             a, q_a, fresh, way = b, q_b, (kind == CORNER or guided) and b in grid, way + h
         counts[row] = count - begin
         if sine < least:

@@ -11,7 +11,7 @@ from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.machine_model.transform_port import Transform, reached
 from cnc_interp.run.setpoints import BEFORE, Setpoints, largest_shares, torque_shares
 
 #: Factor on a limit within which differences of setpoints are accepted, for rounding [-].
@@ -121,8 +121,13 @@ class AxisMotion:
         if beyond:
             raise StreamError(f'{beyond}; reset and move inside')
         self.setpoints = np.tile(start, (BEFORE, 1))
-        self._tip = self._transform.forward(start[None, :])[0]
+        self._tip = reached(self._transform, start[None, :])[0]
         self._contour = ContourErrors(self.period, self._lag, self._tip[0])
+
+    def nominal(self, commanded: FloatArray) -> FloatArray:
+        """Return nominal axes, which an operator sees, for those of the drives; any shape."""
+        rows = commanded.reshape(-1, len(self.machine.axis_names))
+        return self._transform.errors.nominal(rows).reshape(commanded.shape)
 
     def tip_speeds(self, rows: Setpoints) -> FloatArray:
         """Return how fast setpoints move the tip over the workpiece, (K,) [m/s]."""
@@ -147,8 +152,8 @@ class AxisMotion:
         self.setpoints = held[-BEFORE:]
         self.largest_use = np.maximum(self.largest_use, use)
         self._recent_use = np.maximum(self._recent_use, use)
-        commanded = self._transform.forward(answered)[0]
-        tip, axis = self._transform.forward(x)
+        commanded = reached(self._transform, answered)[0]
+        tip, axis = reached(self._transform, x)
         moves = np.diff(np.concatenate([self._tip, tip]), axis=0)
         self._tip = tip[-1:]
         return Recording(

@@ -155,6 +155,7 @@ class Homing:
         self._unknown = set(self._machine.homing.switches)
         self._watch_limits(True)
         self._groups, self._stages = [], {}
+        self._jog.by_drives = False
 
     def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:
         """Begin to home axes, by default all; return which, or raise StreamError."""
@@ -193,12 +194,14 @@ class Homing:
         if group:
             self._switches.lose(group)
         self._stages = dict.fromkeys(group, AxisHoming.SEARCHES)
+        self._jog.by_drives = bool(group)
         self._watch_limits(False)
 
     def stop(self, now: float) -> None:
         self._watch_limits(True)
         self._switches.square(self._names, False)
         self._groups, self._stages = [], {}
+        self._jog.by_drives = False
         self._jog.beat({}, 0.0, now)
 
     def work(self, now: float) -> None:

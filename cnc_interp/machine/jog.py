@@ -45,6 +45,9 @@ class Jog:
         self._playback, self._machine = playback, playback.axes.machine
         self._period = playback.axes.period
         self._axes = Slides.of_axes(self._machine)
+        self._drives = Slides.of_drives(self._machine)
+        #: Whether axes move as the drives count, without errors: while they are homed.
+        self.by_drives = False
         self._wish: Beat | Move | None = None
         self._beat_at = -math.inf
         self._held = False  # the last beat moves axes
@@ -57,10 +60,10 @@ class Jog:
 
     @property
     def target(self) -> FloatArray:
-        """Axis positions at the end of the current move, else at its beginning [m, rad]."""
+        """Nominal axes at the end of the current move, else at its beginning [m, rad]."""
         if isinstance(self._wish, Move):
-            return self._wish.slides.positions(self._wish.target[None, :])[0]
-        return self._before[-1]
+            return self._wish.slides.nominal(self._wish.target[None, :])[0]
+        return self._axes.coordinates(self._before[-1])
 
     # What the operator asks for -----------------------------------------------------------------
 
@@ -96,7 +99,7 @@ class Jog:
     def move(
         self, values: Mapping[str, float], relative: bool, tool: float, speed: float
     ) -> FloatArray:
-        """Take a move; return its end positions, (n_axes,) [m, rad], or raise StreamError.
+        """Take a move; return the nominal axes at its end, (n_axes,), or raise StreamError.
 
         ``values``: target position of each moving axis. If ``relative``, its distance from the
         target of the current move, or from the present position. ``tool``: distance along the tool
@@ -120,10 +123,9 @@ class Jog:
         base = self._wish.target if isinstance(self._wish, Move) else base
         wanted = base + wanted if relative or tool else wanted
         target = np.where(np.isfinite(wanted), wanted, base)
-        place = slides.positions(target[None, :])[0]
-        self._refuse_beyond(place)
+        self._refuse_beyond(slides.positions(target[None, :])[0])
         self._wish = Move(slides, target, speed or 1.0)
-        return place
+        return slides.nominal(target[None, :])[0]
 
     def _check(self, values: Mapping[str, float], tool: float) -> None:
         if values and tool:
@@ -141,9 +143,10 @@ class Jog:
     def _slides(self, tool: bool) -> Slides | None:
         motion = self._motion
         if motion is None:
-            stands = self._before[-1]
-            return along_tool(self._machine, stands) if tool else self._axes
-        return motion.slides if tool is (motion.slides is not self._axes) else None
+            stands = self._axes.coordinates(self._before[-1])
+            axes = self._drives if self.by_drives else self._axes
+            return along_tool(self._machine, stands) if tool else axes
+        return motion.slides if tool is (len(motion.x) == 1) else None
 
     def _refuse_beyond(self, place: FloatArray) -> None:
         for axis, value in zip(self._machine.axes, place, strict=True):

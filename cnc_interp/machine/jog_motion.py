@@ -74,7 +74,8 @@ class JogMotion:
         low, high = self.slides.limits.travel.T
         end = np.where(velocity > 0.0, high, low)
         share = np.abs(velocity) / largest
-        there = (np.abs(end - x) <= THERE) & (v == 0.0) & (a == 0.0)
+        left = np.where(velocity > 0.0, end - x, x - end)
+        there = (left <= THERE) & (v == 0.0) & (a == 0.0)
         wanted = np.where((share < LEAST_SHARE) | there, 0.0, velocity)
         stop_length = largest * (largest / acceleration + acceleration / jerk)
         near = (wanted != 0.0) & (np.abs(end - x) < HORIZON * np.abs(wanted) + stop_length)
@@ -165,9 +166,7 @@ class JogMotion:
         return rows
 
     def _inside(self, rows: FloatArray) -> bool:
-        low, high = self.slides.limits.travel.T
-        x = rows[:, 0]
-        return bool(((x >= low - THERE) & (x <= high + THERE)).all())
+        return self.slides.within_travel(rows[:, 0])
 
     def _hit(
         self, rows: FloatArray, tail: FloatArray

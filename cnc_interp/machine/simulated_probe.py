@@ -28,6 +28,7 @@ from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.machine.simulated_drives import SimulatedDrives
+from cnc_interp.machine_model.error_map import displacement
 from cnc_interp.machine_model.five_axis_kernels import SIZE, forward
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import SINCE as STAMPED
@@ -47,9 +48,9 @@ PROBE = {'radius_mm': 1.5, 'length_mm': 0.0, 'noise_um': 0.0, 'delay_ms': 0.0}
 COLUMNS = 8  #: Of a surface: kind, place, normal or half sizes, radius or angle.
 #: Integer words of the memory: addresses of step and memory of the drives, of the input, surfaces,
 #: geometry and noise, and their numbers; periods of delay, and since the last change; address of
-#: the input for the time stamp, or 0.
+#: the input for the time stamp, or 0; address and number of the errors.
 STEP, MEMORY, INPUT, SURFACES, COUNT, GEOMETRY, EXTRA, NOISE, AT, DELAY, SINCE = range(11)
-STAMP, WORDS = 11, 12
+STAMP, ERRORS, ERRORS_SIZE, WORDS = range(11, 15)
 #: Numbers after them: radius of the ball, and its centre beyond the tip of the machine file [m];
 #: its gap a period before [m], the share of a period since the contact, the period [s].
 RADIUS, BEYOND, GAP, PART, PERIOD, SIZE_OF_MEMORY = range(WORDS, WORDS + 6)
@@ -89,6 +90,14 @@ def probe_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
     for k in range(extra):
         for i in range(3):
             q[0, i] += actual[n - extra + k] * geometry[SIZE + 3 * k + i]
+    if head[ERRORS_SIZE] > 0:
+        errors = carray(pointer(np.uintp(head[ERRORS])), (head[ERRORS_SIZE],))
+        jets = np.zeros((4, 5 + extra))
+        for i in range(n - extra):
+            jets[0, i] = actual[i]
+        for k in range(extra):
+            jets[0, 5 + k] = actual[n - extra + k]
+        q[0, :3] += displacement(errors, geometry, jets)[0]
     tip, axis = forward(geometry, q)
     centre = tip[0] - numbers[BEYOND] * axis[0]
     nearest = np.inf
@@ -123,7 +132,8 @@ class ProbingDrives(SimulatedDrives):
         probe, self._surfaces, real = read_surfaces(file)
         deviates = np.random.default_rng(1).standard_normal(TOUCHES)
         self._noise = deviates * probe['noise_um'] * 1e-6
-        self._geometry = Transform.of(Machine.load(real) if real else machine).packed
+        true = Transform.of(Machine.load(real) if real else machine)
+        self._geometry, self._errors = true.packed, true.errors.packed
         self._inner = self.step, self.memory
         place = machine.signals.probe[1]
         self.memory = np.zeros(SIZE_OF_MEMORY)
@@ -132,6 +142,7 @@ class ProbingDrives(SimulatedDrives):
         head[INPUT] = self.inputs[place:].ctypes.data
         head[[SURFACES, COUNT]] = self._surfaces.ctypes.data, len(self._surfaces)
         head[GEOMETRY], head[EXTRA] = self._geometry.ctypes.data, len(machine.extra_names)
+        head[ERRORS], head[ERRORS_SIZE] = self._errors.ctypes.data, len(self._errors)
         head[NOISE], head[DELAY] = self._noise.ctypes.data, round(probe['delay_ms'] / 1e3 / period)
         if (stamp := machine.signals.input(STAMPED)) >= 0:
             head[STAMP] = self.inputs[stamp:].ctypes.data

@@ -2,28 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cnc_interp.core import FloatArray
 from cnc_interp.core.axis_limits import Limits
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
+from cnc_interp.machine_model.error_map import NO_ERRORS, ErrorMap
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform_port import Transform
 
 THERE = TRAVEL_SLACK  #: Nearer than this to its target, an axis is there [m, rad].
+#: Share of the limits of the drives by which errors may bend a motion by hand, and what its
+#: nominal axes use of the limits, with some room for the slope of the errors [-].
+BENT, KEPT = 0.1, 0.75
+TINY = 1e-12  #: Errors that bend less do not bend.
 
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """What moves by hand: m straight lines in the n axes, ``q = origin + x @ direction``."""
+    """What moves by hand: m straight lines in the n axes, ``q = origin + x @ direction``.
+
+    The axes q are nominal ones; ``positions`` and ``motion`` are those of the drives.
+    """
 
     origin: FloatArray  #: (n,): Axis positions at x = 0 [m, rad].
     direction: FloatArray  #: (m, n): Motion of the axes per unit of each coordinate x.
     limits: Limits  #: Of the m coordinates, constant ones.
 
-    def positions(self, x: FloatArray) -> FloatArray:
+    #: From nominal axes to those of the drives, and the travel of these (n, 2) if they differ.
+    errors: ErrorMap = field(default=NO_ERRORS, kw_only=True)
+    travel: FloatArray | None = field(default=None, kw_only=True)
+
+    def nominal(self, x: FloatArray) -> FloatArray:
         return self.origin + x @ self.direction
+
+    def positions(self, x: FloatArray) -> FloatArray:
+        return self.errors.commanded(self.nominal(x))
+
+    def within_travel(self, x: FloatArray) -> bool:
+        q, (low, high) = x, self.limits.travel.T
+        if self.travel is not None:
+            q, (low, high) = self.positions(x), self.travel.T
+        return bool(((q >= low - THERE) & (q <= high + THERE)).all())
 
     def motion(self, rows: FloatArray, jerk: FloatArray) -> FloatArray:
         """Return positions, velocities, accelerations and jerks of the axes, (4, k, n).
@@ -31,14 +53,35 @@ class Slides:
         ``rows`` (k, 3, m): the first three of the coordinates x; ``jerk`` (k, m).
         """
         x, v, a = rows.swapaxes(0, 1)
-        return np.stack([self.positions(x), *(part @ self.direction for part in (v, a, jerk))])
+        rates = (part @ self.direction for part in (v, a, jerk))
+        return self.errors.motion(np.stack([self.nominal(x), *rates]))
 
-    def coordinates(self, q: FloatArray) -> FloatArray:
+    def coordinates(self, commanded: FloatArray) -> FloatArray:
         weights = self.direction / (self.direction**2).sum(axis=1, keepdims=True)
-        return weights @ (q - self.origin)
+        return weights @ (self.errors.nominal(commanded[None])[0] - self.origin)
+
+    @staticmethod
+    def of_drives(machine: Machine) -> Slides:
+        """Return the axes of the drives, each its own slide; x is q."""
+        n = len(machine.axis_names)
+        return Slides(np.zeros(n), np.eye(n), machine.limits.lowest)
 
     @staticmethod
     def of_axes(machine: Machine) -> Slides:
-        """Return the axes of the machine, each its own slide; x is q."""
-        n = len(machine.axis_names)
-        return Slides(np.zeros(n), np.eye(n), machine.limits.lowest)
+        """Return the nominal axes likewise; with their limits the drives keep those of theirs."""
+        drives, errors = Slides.of_drives(machine), machine.errors
+        if errors is None:
+            return drives
+        off, _, bend, third = np.maximum(errors.bounds, TINY)
+        linear, (velocity, acceleration, jerk) = machine.is_linear, drives.limits.by_order
+        a, j = BENT * acceleration[linear].min(), BENT * jerk[linear].min()
+        by_jerk = min(j / (3.0 * bend * acceleration[linear].max()), np.cbrt(j / third))
+        most = min(np.sqrt(a / bend), by_jerk)
+        limits = drives.limits.having(
+            max_velocity=np.where(linear, np.minimum(KEPT * velocity, most), velocity),
+            max_acceleration=KEPT * acceleration,
+            max_jerk=KEPT * jerk,
+            travel=machine.travel + np.outer(linear, [off, -off]),
+        )
+        mapped = Transform.of(machine).errors
+        return replace(drives, limits=limits, errors=mapped, travel=machine.travel)

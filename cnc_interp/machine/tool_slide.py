@@ -7,7 +7,7 @@ faster than where the motion begins, as near a singular pose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,15 +27,16 @@ FASTER, MARGIN = 2.0, 0.9
 
 
 def along_tool(machine: Machine, stands: FloatArray) -> Slides:
-    """Return one slide along the tool axis, which the tool keeps; x = 0 where it stands."""
+    """Return one slide along the tool axis, which the tool keeps; x = 0 at a nominal place."""
     transform = Transform.of(machine)
     if isinstance(transform, JointChain):
         return ArmSlide.of(transform, stands)
-    line = tool_line(transform, stands)
+    line, axes = tool_line(transform, stands), Slides.of_axes(machine)
     moves = line.direction != 0.0
     part = np.abs(line.direction[moves])
-    rows = (machine.limits.lowest.by_order[:, moves] / part).min(axis=1, keepdims=True)
-    return Slides(
+    rows = (axes.limits.by_order[:, moves] / part).min(axis=1, keepdims=True)
+    return replace(
+        axes,
         origin=np.array(stands, dtype=float),
         direction=line.direction[None, :],
         limits=Limits.constant(*rows).having(travel=line.travel[None]),
@@ -92,7 +93,7 @@ class ArmSlide(Slides):
         origin, direction = np.array(stands), here[None, 1]
         return ArmSlide(origin, direction, own, chain, tip, axis, places, jets[:, 0])
 
-    def positions(self, x: FloatArray) -> FloatArray:
+    def nominal(self, x: FloatArray) -> FloatArray:
         return self._follow(x)[:, 0]
 
     def coordinates(self, q: FloatArray) -> FloatArray:

@@ -18,11 +18,13 @@ from |o x u|, which keeps full relative accuracy.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 
 import numpy as np
 
 from cnc_interp.core import FloatArray, jet, norm
+from cnc_interp.machine_model.error_map import ErrorMap, packed_errors
 from cnc_interp.machine_model.five_axis_kernels import (
     HEAD_ZERO,
     INNER_SIGN,
@@ -70,6 +72,11 @@ class FiveAxis:
     @property
     def five_axis(self) -> FiveAxis:
         return self
+
+    @cached_property
+    def errors(self) -> ErrorMap:
+        own = 5 if self.machine.has_rotary else 3
+        return ErrorMap(packed_errors(self.machine.errors), self.packed, own)
 
     @property
     def outer(self) -> int:

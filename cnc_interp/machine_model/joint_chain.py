@@ -14,6 +14,7 @@ import numpy as np
 
 from cnc_interp.core import DEG, BlockError, FloatArray, MachineError, SingularityError, jet
 from cnc_interp.machine_model import chain_kernels as kernel
+from cnc_interp.machine_model.error_map import NO_ERRORS, ErrorMap
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine, arm_of
 
@@ -45,6 +46,10 @@ class JointChain:
     @property
     def five_axis(self) -> FiveAxis:
         raise MachineError(f'{self.machine.name} is an arm; this needs a machine with X Y Z')
+
+    @property
+    def errors(self) -> ErrorMap:
+        return NO_ERRORS
 
     @property
     def spin(self) -> float:

@@ -25,6 +25,7 @@ from cnc_interp.machine_model.axis_drives import (
     drive_loads,
 )
 from cnc_interp.machine_model.demands import Mistakes, demand
+from cnc_interp.machine_model.geometric_errors import GeometricErrors, geometric_errors, table_of
 from cnc_interp.machine_model.machine_entries import Macro, control, homing, macros, standstill
 from cnc_interp.machine_model.signals import Signals, signals
 
@@ -122,6 +123,8 @@ class Machine:
     macros: tuple[Macro, ...] = ()  #: Lines of G-code for keys of the page.
     #: Its outputs and inputs, and the functions of a program that switch them.
     signals: Signals = field(default_factory=Signals)
+    #: Errors of X Y Z, which the commanded axes compensate.
+    errors: GeometricErrors | None = None
     arm: Arm | None = None  #: Its joints, if it is an arm; an arm has no linear axes.
     #: File from which it was read; empty for bundled machines, which are found by name.
     file: str = ''
@@ -314,6 +317,8 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
     by_place = mistakes.read(entries.limits_by_position, content, names, linear, found)
     switches = mistakes.read(homing, content, travel)
     errors = mistakes.read(entries.following_errors, content, names, linear)
+    ends = np.array([of.travel for of in found[:3]])
+    of_geometry = mistakes.read(geometric_errors, content, ends, folder)
     pace = mistakes.read(entries.block_pace, content, min(axis.max_jerk for axis in found[:3]))
     mistakes.report()
     drives = mistakes.read(axis_drives, content, names, linear, loads)
@@ -330,6 +335,7 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
         following_errors=errors,
         homing=switches,
         pace=pace,
+        errors=of_geometry,
         signals=machine_signals,
         **chosen,
         **geometry,
@@ -392,7 +398,7 @@ def placed_machine(
         f'no rotary axis of {machine.name} turns the workpiece about Z; leave out --turn, and '
         'turn the program instead',
     )
-    content = deepcopy(read_yaml(find_machine_file(name)))
+    content = content_of(name)
     x, y, z = (1e3 * old + more for old, more in zip(machine.offsets[0], shift, strict=True))
     c, s = cos(radians(turn)), sin(radians(turn))
     offset = [round(float(v), DIGITS) for v in (c * x + s * y, c * y - s * x, z)]
@@ -404,13 +410,23 @@ def placed_machine(
     return Machine.load(file)
 
 
+def content_of(name: str | Path) -> dict[str, Any]:
+    """Return the content of a machine file, with the files that it names inside it."""
+    file = find_machine_file(name)
+    content: dict[str, Any] = deepcopy(read_yaml(file))
+    if 'urdf' in content:
+        return without_files(content, file.parent)
+    if isinstance(errors := content.get('errors'), dict):
+        content['errors'] = {k: table_of(of, k, file.parent) for k, of in errors.items()}
+    return content
+
+
 def whole_text(name: str) -> str:
     """Return the text of a machine file, with the content of the files that it names."""
     found = find_machine_file(name)
-    content = read_yaml(found)
-    if 'urdf' not in content:
+    if not {'urdf', 'errors'} & set(read_yaml(found)):
         return found.read_text(encoding='utf-8')
-    return str(yaml.safe_dump(without_files(content, found.parent), sort_keys=False))
+    return str(yaml.safe_dump(content_of(name), sort_keys=False))
 
 
 def with_guessed_limits(name: str, file: Path) -> Machine:
@@ -421,13 +437,13 @@ def with_guessed_limits(name: str, file: Path) -> Machine:
         isinstance(content, dict) and 'urdf' in content,
         f'{found}: --limits guess is for arms; write the limits into the file',
     )
-    _write({**without_files(content, found.parent), 'limits': 'guess'}, file)
+    _write({**content_of(name), 'limits': 'guess'}, file)
     return Machine.load(file)
 
 
 def with_geometry(name: str, file: Path, geometry: Machine) -> None:
     """Write the file of a machine with the offsets of its rotary axes and heads from another."""
-    content = deepcopy(read_yaml(find_machine_file(name)))
+    content = content_of(name)
     offsets = np.concatenate([geometry.offsets, geometry.tool_offset])
     for key, offset in zip(entries.GEOMETRY, offsets, strict=True):
         if key in content['rotary'] or offset.any():

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from cnc_interp.core import BlockError, FloatArray
+from cnc_interp.machine_model.error_map import ErrorMap
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine
@@ -26,6 +27,10 @@ class Transform(Protocol):
     @property
     def machine(self) -> Machine:
         """The machine, whose axes have names, kinds, limits and travel."""
+
+    @property
+    def errors(self) -> ErrorMap:
+        """The map between commanded axes and the nominal ones that all other methods take."""
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return tool tips [m] and unit tool axes [-] in W, (n, 3) each, for rows of q."""
@@ -55,6 +60,11 @@ class Transform(Protocol):
     @staticmethod
     def of(machine: Machine) -> Transform:
         return FiveAxis.of(machine) if machine.arm is None else JointChain.of(machine)
+
+
+def reached(transform: Transform, commanded: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return tool tips and axes, as ``forward``, for rows of commanded axes."""
+    return transform.forward(transform.errors.nominal(commanded))
 
 
 NO_PART = 1e-12  #: Smaller components of the tool's direction are rounding [-].

@@ -151,6 +151,8 @@ class FeedrateNode(LifecycleNode):
 
     def _see_machine(self, state: MachineState) -> None:
         report = machine_report(state)
+        stands = self._transform.errors.commanded(report.stands[None])[0]
+        report = replace(report, stands=stands)
         self._moves, self._heard = report.moves, time.monotonic()
         self._machine_waits = state.waits_for in WAITS or state.state == MachineState.IDLE
         if self._moves:

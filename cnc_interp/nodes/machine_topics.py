@@ -132,7 +132,7 @@ class MachineTopics:
                 program_id=contact.run_id.program_id,
                 line_number=contact.line,
                 at_once=contact.at_once,
-                positions=contact.position.tolist(),
+                positions=self._playback.axes.nominal(contact.position).tolist(),
             )
             message.header.stamp = self._now()
             self._contacts.publish(message)

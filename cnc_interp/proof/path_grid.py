@@ -9,6 +9,7 @@ from cnc_interp.proof import plan_files
 from cnc_interp.proof.limits_again import limits_at
 from cnc_interp.proof.overrides import Overrides, scaled
 from cnc_interp.proof.own_chain import forward_of
+from cnc_interp.proof.own_errors import OwnErrors
 from cnc_interp.proof.plan_files import (
     NO_LENGTH,
     PATH_CELLS,
@@ -37,7 +38,7 @@ ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 def prove_grid(ledger: Ledger, overrides: Overrides) -> None:
     plan, machine = ledger.plan, ledger.machine
     path, s, rows = plan.path, np.asarray(plan.path['s']), np.asarray(plan.path['block'])
-    points, transform = len(s), forward_of(machine)
+    points, transform, errors = len(s), forward_of(machine), OwnErrors(machine)
     rising = bool((np.diff(s) > 0.0).all())
     width = np.maximum(np.diff(s), ROUNDED)
     largest = np.zeros((4, len(machine.axis_names)))
@@ -46,7 +47,7 @@ def prove_grid(ledger: Ledger, overrides: Overrides) -> None:
     jumps = dict.fromkeys(JUMPS, 0)
     written = _written_feeds(plan, rows)
     for a, b in spans(points):
-        own, tip, axis = rows[a:b], *transform.forward(path['q'][a:b])
+        own, tip, axis = rows[a:b], *transform.forward(errors.nominal(path['q'][a:b]))
         gap = np.linalg.norm(tip - path['tip'][a:b], axis=1)
         apart = np.linalg.norm(axis - path['axis'][a:b], axis=1)
         gap = np.maximum(gap, plan.flank_height * apart)

@@ -135,10 +135,10 @@ class Stored:
         self.dtype, self.shape, self.ndim = np.dtype(dtype), shape, len(shape)
 
     @staticmethod
-    def empty(rows: int, dtype: DTypeLike) -> Stored:
+    def empty(rows: int, dtype: DTypeLike, tail: tuple[int, ...] = ()) -> Stored:
         file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
-        file.truncate(rows * np.dtype(dtype).itemsize)
-        return Stored(file, 0, dtype, (rows,))
+        file.truncate(rows * math.prod(tail) * np.dtype(dtype).itemsize)
+        return Stored(file, 0, dtype, (rows, *tail))
 
     @staticmethod
     def unpacked(values: IO[bytes], dtype: DTypeLike, shape: tuple[int, ...]) -> Stored:
@@ -163,7 +163,8 @@ class Stored:
         return self._rows(range(len(self))[key], 1, self.shape[1:])[0]
 
     def __setitem__(self, key: slice, rows: NDArray[Any]) -> None:
-        self._file.seek(self._start + key.start * self.dtype.itemsize)
+        size = math.prod(self.shape[1:]) * self.dtype.itemsize
+        self._file.seek(self._start + key.start * size)
         np.ascontiguousarray(rows, dtype=self.dtype).tofile(self._file)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:

@@ -291,6 +291,11 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
     if machine.arm is not None and machine.arm.guessed:
         guessed = ', '.join(machine.arm.guessed)
         rows.append(Given('guessed limits', guessed, '--limits guess, not from the maker'))
+    if machine.errors is not None:
+        tables = enumerate(machine.errors.tables)
+        columns = {f'{k} {name}': of for k, table in tables for name, of in vars(table).items()}
+        told = 'of X Y Z, compensated at the tip; the tool axis keeps its error'
+        rows.append(Given('errors', told, f'{file} with its tables', digest_of(columns)))
     if scene := plan.settings.get('scene'):
         found = Path(str(scene))
         content = found.read_bytes() if found.is_file() else b''

@@ -21,6 +21,7 @@ from cnc_interp.proof.functions import prove_followed, prove_functions
 from cnc_interp.proof.limits_again import limits_of_differences, torques_of
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.overrides import Overrides, scaled
+from cnc_interp.proof.own_errors import in_nominal_axes
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans
 from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes, measure, measure_widely
@@ -62,6 +63,7 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
             from cnc_interp.proof.stock import prove_stock  # loaded with a stock only
 
             prove_stock(motion, machine.signals)
+    commanded, plan = plan, in_nominal_axes(plan, machine)
     ledger.plan = plan = with_chords(plan, machine)
     if ROW in plan.blocks:
         overrides = overrides.in_rows(plan.blocks[ROW])
@@ -70,10 +72,10 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     _prove_tolerances(ledger, plan, program)
     prove_completeness(ledger, plan, program)
     _prove_feed(ledger, plan, program, overrides)
-    _prove_columns(ledger, plan, machine)
+    _prove_columns(ledger, commanded, machine)
     if plan.path:
         _prove_path(ledger, plan, program)
-    return with_tool_error(replace(ledger.close(), blocks=programmed), plan, machine)
+    return with_tool_error(replace(ledger.close(), blocks=programmed), commanded, machine)
 
 
 def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:

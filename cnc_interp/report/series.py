@@ -9,6 +9,7 @@ from cnc_interp.core import MM, MM_PER_MIN, UM, BoolArray, FloatArray, IntArray
 from cnc_interp.core.axis_limits import Limits
 from cnc_interp.drives.tool_error import ToolError, tool_error
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.proof.own_errors import in_nominal_axes
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import ProgramShapes, measure
 from cnc_interp.proof.programmed_path import with_chords
@@ -55,8 +56,9 @@ class Series:
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
     plan = with_chords(plan, machine).in_memory()
     program = ProgramShapes.of(plan, machine)
-    tip, axis = program.transform.forward(plan.position)
-    deviation = measure(program, plan.position, plan.block)
+    position = in_nominal_axes(plan, machine).position[:]
+    tip, axis = program.transform.forward(position)
+    deviation = measure(program, position, plan.block)
     contour, orientation = program.tolerances(deviation)
     s: FloatArray = plan.setpoints['s']
     grid: FloatArray = plan.path['s']

@@ -19,7 +19,7 @@ from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_port import Transform
+from cnc_interp.machine_model.transform_port import Transform, reached
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.overrides import NOMINAL, OverrideStep
@@ -141,7 +141,7 @@ class PlanWriter:
         self._path = cut(path, cells - 1, cells), speed[-1:]
 
     def _grid(self, path: AxisPath, feed: FloatArray, rows: slice) -> None:
-        tip, axis = self._transform.forward(path.q)
+        tip, axis = reached(self._transform, path.q)
         cells = path.cell_feed
         columns = {
             's': path.s,

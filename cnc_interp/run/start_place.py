@@ -17,7 +17,7 @@ from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.chain_kernels import followed
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.signals import Signals
-from cnc_interp.machine_model.transform_port import ToolLine, Transform, tool_line
+from cnc_interp.machine_model.transform_port import ToolLine, Transform, reached, tool_line
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
@@ -38,7 +38,7 @@ class StartPlace:
     block: StartBlock  #: The start in the program.
     line: int  #: Line of the first motion.
     s: float  #: Path length from the top of the program [m].
-    position: FloatArray  #: (n_axes,): Axis positions [m, rad].
+    position: FloatArray  #: (n_axes,): Nominal axis positions [m, rad].
     sets: tuple[str, ...] = ()  #: Outputs that are set before the way there, as text.
 
     def after(self, functions: Functions, signals: Signals) -> StartPlace:
@@ -142,7 +142,7 @@ class StartFinder:
             return None
         self._kept, self.before = None, to_place(known, self._s)
         rest = from_place(known, self._s)
-        self._position = np.array(rest.cell_left[0, 0])
+        self._position = self._transform.errors.nominal(rest.cell_left[0, :1])[0].copy()
         return self._renumbered(rest)
 
     def functions(self, functions: Functions) -> Functions:
@@ -182,7 +182,7 @@ class StartFinder:
     def _off(self, path: AxisPath, s: FloatArray) -> FloatArray:
         """Return the distances of the tip and, at flank height, of the tool axis, (k, 2) [m]."""
         assert self._vertex is not None
-        tip, axis = self._transform.forward(evaluate(path, s)[0])
+        tip, axis = reached(self._transform, evaluate(path, s)[0])
         vertex = self._vertex
         turned = np.linalg.norm(axis - vertex.axis[0], axis=1) * self._height
         return np.column_stack([np.linalg.norm(tip - vertex.tip[0], axis=1), turned])
@@ -342,7 +342,7 @@ def straight(
     left[1] = way / length[:, None]
     right = left.copy()
     left[0], right[0] = points[:-1], points[1:]
-    tip, axis = transform.forward(points)
+    tip, axis = reached(transform, points)
     after = np.append(np.cumsum(length[::-1])[::-1], 0.0)
     return AxisPath(
         s=-after,

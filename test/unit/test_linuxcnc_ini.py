@@ -7,6 +7,7 @@ from cnc_interp.commands.cli import main
 from cnc_interp.core import DEG, INCH
 from cnc_interp.machine.axis_motion import beyond_travel
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform_port import Transform
 
 TABLE = """[EMC]
 MACHINE = My table  # not ours
@@ -228,3 +229,38 @@ def test_a_unit_may_be_a_number(tmp_path):
         imported(tmp_path, PLAIN.format('XYZ', 0.0393700787401575) + axes_of('XYZ'))[1]
     )
     assert machine.max_velocity == pytest.approx(2 * INCH)
+
+
+@pytest.mark.parametrize('unit', ['mm', 'inch'])
+@pytest.mark.parametrize('kind', [0, 1])
+def test_a_comp_file_becomes_errors_of_the_screw(tmp_path, capsys, unit, kind):
+    """Where the axis comes to 0.010 too far on average, it is commanded to 0.010 less."""
+    rows = [(at, 0.012, 0.008) for at in range(-10, 11, 5)]
+    if kind == 0:
+        rows = [(at, at + ahead, at + back) for at, ahead, back in rows]
+    else:
+        rows = [(at, -ahead, -back) for at, ahead, back in rows]
+    lines = '\n'.join(' '.join(f'{x:.6f}' for x in row) for row in rows)
+    (tmp_path / 'x.comp').write_text(f'# nominal forward reverse\n{lines}\n')
+    more = f'[JOINT_0]\nCOMP_FILE = x.comp\nCOMP_FILE_TYPE = {kind}\n'
+    status, file = imported(tmp_path, PLAIN.format('XYZ', unit) + axes_of('XYZ', more))
+    told = capsys.readouterr().err
+    assert status == 0
+    assert 'COMP_FILE of X: the mean of both directions' in told
+    machine = Machine.load(file)
+    size = 25.4e-3 if unit == 'inch' else 1e-3
+    c = Transform.of(machine).errors.commanded(np.full((1, 3), 2.0 * size))
+    assert c[0] == pytest.approx(np.array([1.99, 2.0, 2.0]) * size, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('rows', 'why'),
+    [('0 0 0\n1 1 1\n', 'does not cover'), ('', 'no such rows'), ('0 0\n9 9\n', 'no such rows')],
+)
+def test_a_comp_file_that_cannot_be_used_is_named(tmp_path, capsys, rows, why):
+    (tmp_path / 'x.comp').write_text(rows)
+    more = '[JOINT_0]\nCOMP_FILE = x.comp\n'
+    status, file = imported(tmp_path, PLAIN.format('XYZ', 'mm') + axes_of('XYZ', more))
+    told = [line for line in capsys.readouterr().err.splitlines() if 'COMP_FILE of X' in line]
+    assert status == 0 and len(told) == 1 and why in told[0]
+    assert Machine.load(file).errors is None

@@ -29,7 +29,7 @@ fingerprints() (
       base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
       project) set -- setup.py setup.cfg ;;
       messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
-      test | docs | panel | step | batch | tiles | warp | mtconnect) set -- "requirements/$part.txt" ;;
+      test | docs | panel | step | batch | tiles | mtconnect) set -- "requirements/$part.txt" ;;
     esac
     sum=$(sha256sum "$@" | sha256sum)
     printf '%s %s\n' "$part" "${sum%% *}"
@@ -106,7 +106,7 @@ main() {
     test)
       shift
       parts+=(test panel step batch tiles mtconnect)
-      case " $* " in *' --all '*) parts+=(docs warp) ;; *' --share '*) parts+=(docs) ;; esac
+      case " $* " in *' --all '*) parts+=(docs) ;; *' --share '*) parts+=(docs) ;; esac
       ensure "${parts[@]}"
       cd "$root"
       case " $* " in *' --all '*) try_everything_else ;; esac
@@ -144,7 +144,6 @@ main() {
       case $1 in batch | cluster) parts+=(batch) ;; mtconnect) parts+=(mtconnect) ;; esac
       case " $* " in ' cam '*' --tiles'*) parts+=(tiles) ;; esac
       case " $* " in ' cam '*' --scheduler'*) parts+=(batch) ;; esac
-      case " $* " in ' cam '*' --device'*warp* | ' cam '*' --device'*cuda*) parts+=(warp) ;; esac
       case " ${*,,} " in ' cam '*.step' '* | ' cam '*.stp' '* | ' cam '*.p21' '*) parts+=(step) ;; esac
       ensure "${parts[@]}"
       # Ctrl-C waits until Python is up; before, it would be a traceback.

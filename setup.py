@@ -90,12 +90,10 @@ setup(
         'batch': [
             'dask>=2024,<2027',
             'distributed>=2024,<2027',
-            'pyarrow>=15,<26',
             'bokeh>=3.1,<4',
         ],
         'step': ['cadquery-ocp-novtk>=8.0,<9'],
         'tiles': ['zarr>=3.1,<4'],
-        'warp': ['warp-lang>=1.19,<2'],
     },
     zip_safe=False,
     entry_points={

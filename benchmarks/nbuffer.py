@@ -21,7 +21,7 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import HeightStore
-from cnc_interp.cam.nbuffer import cut_needles, cut_part, cut_tiles
+from cnc_interp.cam.nbuffer import cut_needles, cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.commands.cam import tile_workers
@@ -94,35 +94,16 @@ def in_tiles(sizes: list[int], counts: list[int]) -> None:
             )
 
 
-def devices() -> None:
-    """Print the speed of both kernels on one core."""
-    sweep = MotionPieces.of(MILL, *passes(POSES))
-    needles = Needles.on(Plane((SIDE, SIDE)), 0.1 * MM)
-    expected = cut_part(needles, sweep)
-    for device in ('cpu', 'warp-cpu'):
-        cut_part(needles, sweep, device)  # type: ignore[arg-type]
-        begin = time.process_time()
-        found = cut_part(needles, sweep, device)  # type: ignore[arg-type]
-        seconds = time.process_time() - begin
-        print(
-            f'{device:10}{seconds:6.2f} s, {found.size * len(sweep) / seconds:.2e} needles x '
-            f'poses / s, apart {np.abs(found - expected).max():.1e} m'
-        )
-
-
 def main() -> None:
     """Print the table that was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--tiles', action='store_true', help='tiles over workers')
-    parser.add_argument('--devices', action='store_true', help='numba and Warp on one core')
     parser.add_argument('--needles', type=float, nargs='+', default=[1e5, 1e6, 1e7])
     parser.add_argument('--workers', type=int, nargs='+', default=[1, 2])
     options = parser.parse_args()
     cut_needles(Needles.on(Plane((SIDE, SIDE)), 2 * MM), MILL, *passes(2 * MM))  # compiles
     if options.tiles:
         in_tiles([int(n) for n in options.needles], options.workers)
-    elif options.devices:
-        devices()
     else:
         one_core()
 

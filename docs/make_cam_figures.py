@@ -24,7 +24,6 @@ from make_pictures import BLUE, INK, ORANGE, PICTURES, QUIET, STYLE
 from matplotlib import pyplot as plt
 from scipy.optimize import fsolve
 
-from cnc_interp.cam.classical import classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
@@ -44,6 +43,7 @@ from cnc_interp.core import DEG, MM, UM, FloatArray
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / 'benchmarks'))
 
+from classical_passes import classical_paths  # noqa: E402
 from marched_scallop import march_to_scallops  # noqa: E402
 
 EXAMPLES = HERE.parent / 'examples'
@@ -55,14 +55,8 @@ Y = np.array([0.0, 1.0, 0.0])
 #: Rows of the table: heading, surface, options.
 ROWS: list[tuple[str, str, list[str]]] = [
     ('planes, d 2.0 mm', 'bumps', ['--stepover', '2']),
-    ('classical, tilt 5 deg', 'bumps', ['--strategy', 'classical', '--tilt', '5']),
     ('planes, largest d, tilt from 3 deg', 'bumps', []),
     ('planes, d 5.0 mm', 'hollow', ['--stepover', '5']),
-    (
-        'classical, ball mill of 13 mm',
-        'bumps',
-        ['--strategy', 'classical', '--corner-radius', '6.5'],
-    ),
     ('planes, d 2.0 mm, feed along v', 'bumps', ['--stepover', '2', '--direction', '90']),
     ('planes, d 1.6 mm', 'bumps', ['--stepover', '1.6']),
     ('planes, d 3.5 mm', 'hollow', ['--stepover', '3.5']),
@@ -290,7 +284,7 @@ def _write_times(found: list[tuple[str, str, dict[str, Any], float]]) -> None:
     figure, panel = plt.subplots(figsize=(7.2, 3.2), layout='constrained')
     names = [f'{row[1]}: {row[0]}' for row in found]
     seconds = [row[3] for row in found]
-    panel.barh(names, seconds, color=[ORANGE if 'classical' in n else BLUE for n in names])
+    panel.barh(names, seconds, color=BLUE)
     for k, value in enumerate(seconds):
         panel.text(value, k, f' {value:.1f}', va='center', fontsize=8)
     panel.invert_yaxis()

@@ -4,7 +4,7 @@
 # (requirements, messages, project files) is brought up to date in place.
 
 log=$venv/setup.log
-optional=(test docs panel step batch tiles warp) # parts that only some commands need
+optional=(test docs panel step batch tiles) # parts that only some commands need
 pip_install=("$venv/bin/python" -m pip install --quiet --no-deps --no-compile
   --no-warn-script-location --disable-pip-version-check)
 
@@ -147,7 +147,7 @@ start_over() {
 # Everything that is independent is done side by side; the kernels take longest and start first.
 complete_environment() {
   local had kernels='' kept_parts='' part ros='' wanted=" $* "
-  had=$(grep -E '^(base|project|messages|test|docs|panel|step|batch|tiles|warp) ' "$stamp" 2>/dev/null || true)
+  had=$(grep -E '^(base|project|messages|test|docs|panel|step|batch|tiles) ' "$stamp" 2>/dev/null || true)
   out_of_date() { ! grep -qxF "$(fingerprints "$1")" <<<"$had"; }
   forget_parts
   if out_of_date base; then

@@ -1,4 +1,4 @@
-"""The table of a batch, as CSV, as Parquet, and on a page that sorts it."""
+"""The table of a batch, as CSV, and on a page that sorts it."""
 
 import csv
 import io
@@ -16,30 +16,30 @@ from cnc_interp.report import html
 from cnc_interp.run.program_times import times_table
 
 Results = Sequence[tuple[BatchEntry, TaskOutcome]]
-#: Columns of the table: name with unit, and type. All except the first two and ``cost`` are fields
+#: Columns of the table, with their units. All except the first two and ``cost`` are fields
 #: of ``Row``.
-COLUMNS = {
-    'program': str,
-    'machine': str,
-    'verdict': str,
-    'message': str,
-    'blocks': int,
-    'setpoints': int,
-    'path_length_m': float,
-    'cycle_time_s': float,
-    'standstill_s': float,
-    'time_bound_s': float,
-    'cost': float,
-    'velocity_use': float,
-    'acceleration_use': float,
-    'jerk_use': float,
-    'torque_use': float,
-    'contour_used': float,
-    'orientation_used': float,
-    'tools': str,
-    'notices': str,
-    'plan_hash': str,
-}
+COLUMNS = (
+    'program',
+    'machine',
+    'verdict',
+    'message',
+    'blocks',
+    'setpoints',
+    'path_length_m',
+    'cycle_time_s',
+    'standstill_s',
+    'time_bound_s',
+    'cost',
+    'velocity_use',
+    'acceleration_use',
+    'jerk_use',
+    'torque_use',
+    'contour_used',
+    'orientation_used',
+    'tools',
+    'notices',
+    'plan_hash',
+)
 #: Columns that differ in name from their field of ``Row``.
 FIELDS = {
     'path_length_m': 'path_length',
@@ -71,10 +71,10 @@ def _row(job: BatchEntry, outcome: TaskOutcome, rate: float | None) -> dict[str,
 
 
 def write_tables(results: Results, rate: float | None, folder: Path) -> list[Path]:
-    """Write ``table.csv``, ``costs.csv`` and, with pyarrow, ``table.parquet``; return them."""
+    """Write ``table.csv`` and ``costs.csv``; return them."""
     rows = rows_of(results, rate)
     table, costs = folder / 'table.csv', folder / 'costs.csv'
-    write_whole(table, csv_text(tuple(COLUMNS), [list(row.values()) for row in rows]))
+    write_whole(table, csv_text(COLUMNS, [list(row.values()) for row in rows]))
     spent = [
         (
             job.program,
@@ -86,7 +86,7 @@ def write_tables(results: Results, rate: float | None, folder: Path) -> list[Pat
         for job, cost in ((job, outcome.cost) for job, outcome in results)
     ]
     write_whole(costs, csv_text(COSTS, spent))
-    return [table, *_parquet(rows, folder / 'table.parquet'), costs]
+    return [table, costs]
 
 
 def csv_text(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -97,19 +97,7 @@ def csv_text(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return text.getvalue()
 
 
-def _parquet(rows: list[dict[str, Any]], file: Path) -> list[Path]:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError:
-        return []
-    kinds = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
-    schema = pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
-    parquet.write_table(pyarrow.Table.from_pylist(rows, schema=schema), file)
-    return [file]
-
-
-MOST_ROWS = 5000  #: Largest number of rows shown; the table files contain all.
+MOST_ROWS = 5000  #: Largest number of rows shown; the table file contains all.
 #: Columns of the page: heading, column of the table, and how a number is written.
 SHOWN = (
     ('program', 'program', ''),

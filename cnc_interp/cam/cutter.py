@@ -13,7 +13,7 @@ from math import isfinite
 import numpy as np
 
 from cnc_interp.cam.guiding import CurveFrames
-from cnc_interp.core import MM, FloatArray, InterpError, cross, scaled
+from cnc_interp.core import MM, FloatArray, InterpError, cross, demand, refuse_if, scaled
 
 
 @dataclass(frozen=True)
@@ -27,18 +27,23 @@ class Cutter:
     def __post_init__(self) -> None:
         for name in ('tool_radius', 'corner_radius'):
             value = getattr(self, name)
-            if not (isfinite(value) and value >= 0.0):
-                raise InterpError(f'{name} is {value / MM:g} mm; it must not be negative')
-        if self.tool_radius + self.corner_radius == 0.0:
-            raise InterpError('a cutter needs a radius')
+            demand(
+                isfinite(value) and value >= 0.0,
+                InterpError(f'{name} is {value / MM:g} mm; it must not be negative'),
+            )
+        refuse_if(
+            self.tool_radius + self.corner_radius == 0.0, InterpError('a cutter needs a radius')
+        )
 
     @staticmethod
     def of_diameter(diameter: float, corner_radius: float) -> Cutter:
-        if not 0.0 <= corner_radius <= 0.5 * diameter:
-            raise InterpError(
+        demand(
+            0.0 <= corner_radius <= 0.5 * diameter,
+            InterpError(
                 f'a corner radius of {corner_radius / MM:g} mm does not fit a diameter of '
                 f'{diameter / MM:g} mm; it lies between 0 and {0.5 * diameter / MM:g} mm'
-            )
+            ),
+        )
         return Cutter(0.5 * diameter - corner_radius, corner_radius)
 
     @property

@@ -25,8 +25,6 @@ def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
     """Return how deep the bottom of the mill enters the surface, tested at points on circles."""
     cutter, frames = postures.cutter, postures.frames
     depth = np.zeros(len(postures))
-    if cutter.is_ball:
-        return depth
     turn = np.linspace(0.0, 2.0 * np.pi, RAYS, endpoint=False)
     front, across = postures.front[:, None], postures.turned[1][:, None]
     e = front * np.cos(turn)[:, None] + across * np.sin(turn)[:, None]

@@ -13,8 +13,8 @@ from contourpy import contour_generator
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import label
 
-from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint, demand
-from cnc_interp.core import MM, UM, FloatArray, cross, dot, norm, scaled, unit
+from cnc_interp.cam.surface import Surface, SurfaceError, demand
+from cnc_interp.core import MM, FloatArray, cross, dot, norm, scaled
 
 CELLS = 200  #: Number of cells per direction in which a curve is searched.
 STEP = 0.4 * MM  #: Largest distance of the points of a curve [m].
@@ -180,69 +180,3 @@ class GuidingPlanes:
         half_turn = 0.5 * np.arccos(np.clip(dot(f[1:], f[:-1]), -1.0, 1.0))
         arcs = chords / np.maximum(np.sinc(half_turn / np.pi), 0.5)
         return np.concatenate([[0.0], np.cumsum(arcs)])
-
-
-NEAR = 1.0 * UM  #: Distance of the points that show the change of direction of a curve [m].
-
-
-@dataclass(frozen=True)
-class SurfaceCurve:
-    surface: Surface  #: The surface to machine.
-    offset: float  #: Corner radius r_c [m].
-    parameters: BSpline  #: u and v by the approximate arc length of K.
-    length: float  #: Value of that arc length at the end; it begins at 0 [m].
-
-    @staticmethod
-    def through(surface: Surface, offset: float, u: FloatArray, v: FloatArray) -> SurfaceCurve:
-        position = surface.at(u, v).offset(offset).position
-        s = np.concatenate([[0.0], np.cumsum(norm(np.diff(position, axis=0)))])
-        spline = make_interp_spline(s, np.stack([u, v], axis=1), k=5)
-        return SurfaceCurve(surface, offset, spline, float(s[-1]))
-
-    def _feed(self, s: FloatArray) -> tuple[SurfacePoint, FloatArray, FloatArray]:
-        u, v = self.parameters(s).T
-        u_s, v_s = self.parameters(s, 1).T
-        point = self.surface.at(u, v)
-        guide = point.offset(self.offset)
-        run = scaled(u_s, guide.d_u) + scaled(v_s, guide.d_v)
-        return point, unit(run), norm(run)
-
-    def frames(self, s: FloatArray) -> CurveFrames:
-        """Return K and its frame at places (n,) [m]; the rates are by arc length of K."""
-        point, feed, speed = self._feed(s)
-        ahead, behind = self._feed(s + NEAR)[1], self._feed(s - NEAR)[1]
-        n, n_s = point.normal, point.offset(self.offset).normal_rate(feed)
-        f_s = scaled(0.5 / (NEAR * speed), ahead - behind)
-        t = cross(feed, n)
-        u, v = self.parameters(s).T
-        return CurveFrames(
-            point.offset(self.offset).position,
-            n,
-            feed,
-            t,
-            n_s,
-            f_s,
-            cross(f_s, n) + cross(feed, n_s),
-            u,
-            v,
-            point.curvature(t),
-        )
-
-
-def crossing(u: FloatArray, v: FloatArray) -> int:
-    n = len(u) - 1
-    if n < 3:
-        return -1
-    du, dv = np.diff(u), np.diff(v)
-
-    def side(i: slice, j: slice, shift: int) -> FloatArray:
-        x = u[j.start + shift : j.stop + shift][None, :] - u[i][:, None]
-        y = v[j.start + shift : j.stop + shift][None, :] - v[i][:, None]
-        return np.asarray(du[i][:, None] * y - dv[i][:, None] * x)
-
-    whole = slice(0, n)
-    apart = side(whole, whole, 0) * side(whole, whole, 1) < 0.0
-    cut = apart & apart.T
-    near = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :]) < 2
-    hit = (cut & ~near).any(axis=1)
-    return int(np.argmax(hit)) if hit.any() else -1

@@ -20,7 +20,7 @@ import numpy as np
 
 from cnc_interp.cam.needle_cuts import TOP
 from cnc_interp.cam.needles import NeedleGrid, patches
-from cnc_interp.core import UM, BoolArray, FloatArray, InterpError
+from cnc_interp.core import UM, BoolArray, FloatArray, InterpError, demand, refuse_if
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 
 GOUGE = 0.5 * UM  #: Depth from which a needle counts as gouged [m].
@@ -108,8 +108,9 @@ class Figures:
 
     @property
     def mean(self) -> float:
-        if not self.cut:
-            raise InterpError('the program cuts nothing of the surface; is it the right one?')
+        demand(
+            self.cut, InterpError('the program cuts nothing of the surface; is it the right one?')
+        )
         return float(Fraction(self.total, self.cut << HEIGHT_BITS))
 
     def statistics(self, deviations: int) -> dict[str, float]:
@@ -195,8 +196,10 @@ class HeightStore:
         except (OSError, ValueError, KeyError):
             return False
         finally:
-            if not ours and self.folder.exists() and any(self.folder.iterdir()):
-                raise InterpError(f'{self.folder}: it holds other files; choose a new folder')
+            refuse_if(
+                not ours and self.folder.exists() and any(self.folder.iterdir()),
+                InterpError(f'{self.folder}: it holds other files; choose a new folder'),
+            )
 
     @staticmethod
     def _array(group: Any, name: str, shape: tuple[int, int]) -> Any:

@@ -31,7 +31,18 @@ from cnc_interp.cam.passes import (
     plane_distance,
 )
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
-from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError, norm
+from cnc_interp.core import (
+    DEG,
+    MM,
+    UM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InterpError,
+    demand,
+    norm,
+    refuse_if,
+)
 
 CLOSER = 0.985  #: Distance of a restarted pass, as a share of its half width [-].
 #: Default distance of the points along a pass [m]; there are at least 25.
@@ -77,8 +88,10 @@ class PassRecursion:
         first, last = self.planes.span
         passes = [self.first_pass()]
         while passes[-1].plane + float(passes[-1].kept_reach.min()) < last:
-            if len(passes) >= MOST_PASSES:
-                raise SurfaceError(f'more than {MOST_PASSES} passes; is the scallop height right?')
+            refuse_if(
+                len(passes) >= MOST_PASSES,
+                SurfaceError(f'more than {MOST_PASSES} passes; is the scallop height right?'),
+            )
             passes.append(self.next_pass(passes[-1], len(passes) + 1))
             progress(min(1.0, (passes[-1].plane - first) / (last - first)))
         progress(1.0)
@@ -375,15 +388,21 @@ class IsoScallopOptions:
 
     def __post_init__(self) -> None:
         low, high = self.tilt_limits
-        if not 0.0 < low <= self.tilt <= high <= 0.5 * np.pi:
-            raise InterpError(
+        demand(
+            0.0 < low <= self.tilt <= high <= 0.5 * np.pi,
+            InterpError(
                 f'tilts of {low / DEG:g} <= {self.tilt / DEG:g} <= {high / DEG:g} deg do not make '
                 'sense; they must rise and lie between 0 and 90 deg'
-            )
-        if not self.scallop_height > 0.0 or (self.stepover is not None and self.stepover <= 0.0):
-            raise InterpError('scallop height and plane distance must be positive')
-        if self.points is not None and self.points < 8:
-            raise InterpError(f'{self.points} points along a pass are too few; give at least 8')
+            ),
+        )
+        refuse_if(
+            not self.scallop_height > 0.0 or (self.stepover is not None and self.stepover <= 0.0),
+            InterpError('scallop height and plane distance must be positive'),
+        )
+        refuse_if(
+            self.points is not None and self.points < 8,
+            InterpError(f'{self.points} points along a pass are too few; give at least 8'),
+        )
 
 
 @dataclass(frozen=True)
@@ -428,11 +447,13 @@ def iso_scallop_paths(
         The mill does not fit the surface; the message names the place.
 
     """
-    if cutter.is_ball:
-        raise SurfaceError(
+    refuse_if(
+        cutter.is_ball,
+        SurfaceError(
             'the strip of a ball mill does not depend on its tilt; take a corner radius smaller '
-            'than half the diameter, or --strategy classical'
-        )
+            'than half the diameter'
+        ),
+    )
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
     recursion = PassRecursion(surface, cutter, normal, options)

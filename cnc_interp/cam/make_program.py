@@ -28,7 +28,17 @@ from cnc_interp.cam.surface import SAMPLES, Placed, Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
 from cnc_interp.cam.tool_path import UPRIGHT, link, write_tool_path
-from cnc_interp.core import MM_PER_MIN, UM, FloatArray, InterpError, cross, norm, unit
+from cnc_interp.core import (
+    MM_PER_MIN,
+    UM,
+    FloatArray,
+    InterpError,
+    cross,
+    demand,
+    norm,
+    refuse_if,
+    unit,
+)
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
@@ -41,8 +51,10 @@ HIGHER = 1.002  #: A note names executed ridges above this multiple of the scall
 
 
 def make_program(request: CamRequest) -> int:
-    if not request.passes.ridge > 0.0:
-        raise InterpError('--scallop must be larger than --reserve and --chord together')
+    demand(
+        request.passes.ridge > 0.0,
+        InterpError('--scallop must be larger than --reserve and --chord together'),
+    )
     part, cutter = _part(request), request.cutter
     faces = [_machined(number, part, request) for number in part.surfaces]
     around = None if request.ignore_neighbours else part.neighbours
@@ -117,8 +129,10 @@ def make_program(request: CamRequest) -> int:
 
 def _upwards(faces: list[MachinedFace]) -> FloatArray:
     mean = np.mean([unit(_mean_normal(face.surface)) for face in faces], axis=0)
-    if float(norm(mean)) < UPRIGHT:
-        raise SurfaceError('the faces look in opposite directions; make a program for each side')
+    refuse_if(
+        float(norm(mean)) < UPRIGHT,
+        SurfaceError('the faces look in opposite directions; make a program for each side'),
+    )
     return unit(mean)
 
 
@@ -126,7 +140,6 @@ def _machined(number: int, part: Part, request: CamRequest) -> MachinedFace:
     surface, cutter = part.surfaces[number], request.cutter
     normal = across(surface, request.direction)
     others = part.neighbours.without(number) if part.neighbours else None
-    axis = unit(_mean_normal(surface)) if cutter.is_ball else None
     try:
         clock = time.perf_counter()
         paths = _followed(surface, normal, request)
@@ -135,7 +148,6 @@ def _machined(number: int, part: Part, request: CamRequest) -> MachinedFace:
             paths,
             cutter,
             request.overrun,
-            axis,
             None if request.ignore_neighbours else others,
         )
     except SurfaceError as error:
@@ -249,7 +261,7 @@ def _cut(
     needles, cutter = Needles.on(surface, request.spacing, request.margin), request.cutter
     with _progress(request) as progress:
         show = progress.of(f'cutting, {motion.name}')
-        heights = cut_needles(needles, cutter, motion.tip, motion.axis, show, request.device)
+        heights = cut_needles(needles, cutter, motion.tip, motion.axis, show)
     return heights, cross_sections(surface, cutter, motion, normal, request.margin)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,8 +20,6 @@ from cnc_interp.cam.needle_cuts import TOP, NeedleGroups, PieceColumns, cut
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles, patches
 from cnc_interp.core import BoolArray, FloatArray, InterpError
 
-#: What cuts: numba on the processor, or Warp on the processor or on a graphics card.
-Device = Literal['cpu', 'warp-cpu', 'cuda']
 GROUPS = 16  #: Groups of needles in each direction of a part that is cut at once.
 
 
@@ -52,7 +50,6 @@ def cut_needles(
     tip: FloatArray,
     axis: FloatArray,
     progress: Callable[[float], None] = lambda _: None,
-    device: Device = 'cpu',
 ) -> Heights:
     sweep = MotionPieces.of(cutter, tip, axis)
     rows, columns = needles.shape
@@ -61,18 +58,14 @@ def cut_needles(
     for i, j in patches(rows, columns, tall, wide):
         part = slice(i, i + tall), slice(j, j + wide)
         here = needles.part(*part)
-        height[part] = cut_part(here, sweep.near(*here.ball), device)
+        height[part] = cut_part(here, sweep.near(*here.ball))
         done = min(i + tall, rows) * columns if j + wide >= columns else i * columns + tall * j
         progress(min(1.0, done / height.size))
     return Heights(needles, height)
 
 
-def cut_part(needles: Needles, sweep: MotionPieces, device: Device = 'cpu') -> FloatArray:
+def cut_part(needles: Needles, sweep: MotionPieces) -> FloatArray:
     needle = np.concatenate([needles.base, needles.normal], axis=2).reshape(-1, 6)
-    if device != 'cpu':
-        from cnc_interp.cam.warp_cuts import cut_by_warp
-
-        return cut_by_warp(needle, sweep, device).reshape(needles.shape)
     height = np.full(len(needle), TOP)
     columns = sweep.first, sweep.middle, sweep.last, sweep.slack, sweep.rough, sweep.batch
     groups, pieces = NeedleGroups(needle, *needles.groups()), PieceColumns(*columns)
@@ -81,7 +74,7 @@ def cut_part(needles: Needles, sweep: MotionPieces, device: Device = 'cpu') -> F
 
 
 #: Files whose text decides the heights of a tile.
-ENGINE = ('needle_cuts.py', 'nbuffer.py', 'heights.py', 'needles.py', 'warp_cuts.py')
+ENGINE = ('needle_cuts.py', 'nbuffer.py', 'heights.py', 'needles.py')
 
 
 @dataclass(frozen=True)
@@ -91,13 +84,12 @@ class TileTask:
     column: int
     needles: Needles  #: The needles.
     sweep: MotionPieces  #: Pieces of motion that can reach them.
-    device: Device  #: What cuts.
 
     @property
     def key(self) -> str:
         digest = hashlib.sha256(_engine())
         cutter, sweep = self.sweep.cutter, self.sweep
-        digest.update(repr((self.row, self.column, cutter, self.device)).encode())
+        digest.update(repr((self.row, self.column, cutter)).encode())
         for values in (
             self.needles.base,
             self.needles.normal,
@@ -121,7 +113,7 @@ class TileWorkers(Protocol):
 
     def run(
         self,
-        function: Callable[[TileTask], CutTile | str],
+        function: Callable[[TileTask], CutTile],
         arguments: Iterator[Callable[[], TileTask]],
     ) -> Iterator[Any]: ...
 
@@ -142,12 +134,8 @@ class TileProgress:
         return (self.done - self.known) / max(1, self.total - self.known)
 
 
-def cut_tile(task: TileTask) -> CutTile | str:
-    """Cut a tile; returns a sentence if the device is missing."""
-    try:
-        height = cut_part(task.needles, task.sweep, task.device)
-    except InterpError as problem:
-        return str(problem)
+def cut_tile(task: TileTask) -> CutTile:
+    height = cut_part(task.needles, task.sweep)
     return CutTile(height, Figures.of(height, task.row, task.column))
 
 
@@ -157,7 +145,6 @@ def cut_tiles(
     workers: TileWorkers,
     store: HeightStore,
     progress: Callable[[TileProgress], None],
-    device: Device = 'cpu',
 ) -> TileProgress:
     """Cut all tiles that the store does not know; each is written as soon as it is cut."""
     rows, columns = grid.shape
@@ -170,7 +157,7 @@ def cut_tiles(
         for row, column in places:
             ends = min(row + TILE, rows), min(column + TILE, columns)
             needles = grid.needles(slice(row, ends[0]), slice(column, ends[1]))
-            task = TileTask(row, column, needles, sweep.near(*needles.ball), device)
+            task = TileTask(row, column, needles, sweep.near(*needles.ball))
             key = task.key
             if store.knows(row, column, key):
                 known += 1
@@ -181,10 +168,8 @@ def cut_tiles(
     for ended in workers.run(cut_tile, tasks()):
         row, column, key = given[ended.number]
         if not isinstance(ended.result, CutTile):
-            why = ended.result
-            if not isinstance(why, str):
-                words = ended.why or str(why.name).lower().replace('_', ' ')
-                why = f'its worker was lost ({words}); start again; finished tiles are kept'
+            words = ended.why or str(ended.result.name).lower().replace('_', ' ')
+            why = f'its worker was lost ({words}); start again; finished tiles are kept'
             raise InterpError(f'the tile at needle {row}, {column}: {why}')
         store.keep(row, column, key, ended.result.height, ended.result.figures)
         done += 1

@@ -1,9 +1,7 @@
 """Compiled loops of the N-buffer: where needles first enter the moving mill.
 
 A group of needles is skipped only if the test of each of its needles would skip it too. So a
-needle ends at the same height, bit for bit, in every tile. The functions of one needle are written
-in the subset of Python that ``warp_cuts.py`` can translate: scalars, rows of arrays, and no
-literal that is overwritten in a loop.
+needle ends at the same height, bit for bit, in every tile.
 """
 
 from math import sqrt

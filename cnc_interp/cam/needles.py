@@ -10,7 +10,17 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.needle_cuts import DEPTH, ROUNDING, SHORT, TOP
 from cnc_interp.cam.surface import Surface
-from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError, dot, norm
+from cnc_interp.core import (
+    MM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InterpError,
+    demand,
+    dot,
+    norm,
+    refuse_if,
+)
 from cnc_interp.program.geometry.subdivide import great_circle, ragged
 
 PATCH = 64  #: Needles in each direction of a patch.
@@ -29,18 +39,22 @@ class Needles:
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> Needles:
         grid = NeedleGrid.on(surface, spacing, margin)
-        if len(grid.u) * len(grid.v) > MOST_AT_ONCE:
-            raise InterpError(
+        refuse_if(
+            len(grid.u) * len(grid.v) > MOST_AT_ONCE,
+            InterpError(
                 f'needles every {spacing / MM:g} mm make {len(grid.u)} x {len(grid.v)}; cut them '
                 'in tiles: cam simulate --tiles DIR'
-            )
+            ),
+        )
         needles = grid.needles(slice(0, grid.shape[0]), slice(0, grid.shape[1]))
         u, v = np.meshgrid(grid.u, grid.v, indexing='ij')
         counted = surface.contains(u, v, -margin)
-        if not counted.any():
-            raise InterpError(
+        demand(
+            counted.any(),
+            InterpError(
                 f'no needle lies {margin / MM:g} mm inside the border; take a smaller margin'
-            )
+            ),
+        )
         return needles if counted.all() else replace(needles, counted=counted)
 
     @property
@@ -99,11 +113,13 @@ class NeedleGrid:
         u0, u1, v0, v1 = u0 - grow[0], u1 + grow[0], v0 - grow[1], v1 + grow[1]
         rate = surface.growth(spacing)
         count = [int(np.ceil((b - a) / r)) + 1 for a, b, r in zip((u0, v0), (u1, v1), rate)]
-        if min(count) < 2 or max(count) > MOST_IN_LINE or count[0] * count[1] > MOST:
-            raise InterpError(
+        refuse_if(
+            min(count) < 2 or max(count) > MOST_IN_LINE or count[0] * count[1] > MOST,
+            InterpError(
                 f'needles every {spacing / MM:g} mm make {count[0]} x {count[1]}; choose another '
                 'spacing or margin'
-            )
+            ),
+        )
         return NeedleGrid(surface, np.linspace(u0, u1, count[0]), np.linspace(v0, v1, count[1]))
 
     @property
@@ -159,8 +175,10 @@ class MotionPieces:
 
     @staticmethod
     def of(cutter: Cutter, tip: FloatArray, axis: FloatArray) -> MotionPieces:
-        if len(tip) < 2 or not (np.isfinite(tip).all() and np.isfinite(axis).all()):
-            raise InterpError('a simulation needs two finite poses or more')
+        refuse_if(
+            len(tip) < 2 or not (np.isfinite(tip).all() and np.isfinite(axis).all()),
+            InterpError('a simulation needs two finite poses or more'),
+        )
         R, r = cutter.tool_radius, cutter.corner_radius
         tip, axis = pieces(tip, axis, PIECE * min(max(r, 0.5 * MM), 5.0 * MM), R + r)
         pose = np.concatenate([tip + r * axis, axis], axis=1)

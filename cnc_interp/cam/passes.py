@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cnc_interp.cam.cutter import Cutter, Postures
-from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
+from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, dot, scaled
@@ -169,7 +169,7 @@ LINES = 9  #: Lines along the strip that are compared with the border, over its 
 
 
 def kept_ranges(
-    curve: GuidingCurve | SurfaceCurve, s: FloatArray, reach: FloatArray, overrun: float
+    curve: GuidingCurve, s: FloatArray, reach: FloatArray, overrun: float
 ) -> list[tuple[float, float]]:
     dense = np.linspace(0.0, curve.length, max(60, int(curve.length / SPACING)))
     known = np.isfinite(reach)

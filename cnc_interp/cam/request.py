@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.nbuffer import Device, Pool
+from cnc_interp.cam.nbuffer import Pool
 from cnc_interp.cam.strategies import STRATEGIES, Strategy, Wanted
 from cnc_interp.cam.tool_path import LinkOptions
 from cnc_interp.core import DEG, MM, MM_PER_MIN, UM
@@ -35,7 +35,6 @@ class CutRequest:
     machine: str
     compensate: str | None  #: Machine whose drives are the model of the executed motion.
     json: bool  #: Whether the summary is printed as JSON, without progress.
-    device: Device  #: Device that computes the cuts.
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Self:
@@ -46,7 +45,6 @@ class CutRequest:
         found['cutter'] = Cutter.of_diameter(*mill)
         found['face'] = tuple(options['face'] or ())
         found['turns'] = tuple(options[f'turn_{axis}'] for axis in 'xyz')
-        found.setdefault('device', 'cpu')
         found['tolerance'] = float(SMOOTHING * options['scallop'] * UM)
         return cls(**found | cls._more(options, found['cutter']))
 

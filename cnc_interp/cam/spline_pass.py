@@ -11,10 +11,10 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.gouge import Neighbours
-from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
+from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.passes import kept_ranges
 from cnc_interp.cam.surface import Surface, SurfaceError
-from cnc_interp.core import MM, UM, FloatArray, dot, norm, scaled, unit
+from cnc_interp.core import MM, UM, FloatArray, demand, dot, norm, scaled, unit
 
 ARM = 10.0 * MM  #: Height above the tip at which the chord tolerance also holds [m].
 FINEST = 20  #: Most halvings of the intervals along a pass.
@@ -27,7 +27,7 @@ class Strip(Protocol):
     """A pass of any strategy: path of the point K; half width and postures at places ``s``."""
 
     @property
-    def curve(self) -> GuidingCurve | SurfaceCurve: ...
+    def curve(self) -> GuidingCurve: ...
     @property
     def s(self) -> FloatArray: ...
     @property
@@ -55,14 +55,12 @@ class SplinePass:
     def of(
         made: Strip,
         overrun: float,
-        fixed_axis: FloatArray | None = None,
         neighbours: Neighbours | None = None,
     ) -> list[SplinePass]:
         def rows(places: FloatArray) -> FloatArray:
             postures = made.tool(places)
-            axis = postures.axis if fixed_axis is None else np.broadcast_to(fixed_axis, (1, 3))
-            tip = postures.cutter.tip(postures.centre, axis)
-            return np.concatenate([tip, tip + ARM * axis], axis=1)
+            tip = postures.cutter.tip(postures.centre, postures.axis)
+            return np.concatenate([tip, tip + ARM * postures.axis], axis=1)
 
         parts = kept_ranges(made.curve, made.s, made.reach, overrun)
         if neighbours:
@@ -151,10 +149,9 @@ def cut_back(
     paths: Strips,
     cutter: Cutter,
     overrun: float,
-    fixed_axis: FloatArray | None,
     others: Neighbours | None,
 ) -> tuple[list[list[SplinePass]], list[str]]:
-    found = [SplinePass.of(made, overrun, fixed_axis, others) for made in paths.passes]
+    found = [SplinePass.of(made, overrun, others) for made in paths.passes]
     parts = [one for one in found if one]
     if others is None:
         return parts, []
@@ -164,11 +161,13 @@ def cut_back(
         for first, last in kept_ranges(made.curve, made.s, made.reach, overrun)
     )
     milled = sum(part.ends[1] - part.ends[0] for one in parts for part in one)
-    if not parts:
-        raise SurfaceError(
+    demand(
+        parts,
+        SurfaceError(
             'on every pass the mill would enter other faces of the part; take a smaller mill, or '
             '--ignore-neighbours'
-        )
+        ),
+    )
     if whole - milled < NOTICED:
         return parts, []
     left_out = (

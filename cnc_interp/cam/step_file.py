@@ -11,7 +11,7 @@ import numpy as np
 from cnc_interp.cam import shapes
 from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError, demand
-from cnc_interp.core import MM, FloatArray, norm
+from cnc_interp.core import MM, FloatArray, norm, refuse_if
 
 #: OpenCASCADE's classes of surfaces and their names in lists and messages.
 SPLINE, BEZIER = 'Geom_BSplineSurface', 'Geom_BezierSurface'
@@ -197,10 +197,11 @@ class StepFace:
             u1 - u0 >= 1e-7 and v1 - v0 >= 1e-7, 'the boundary spans no rectangle of parameters'
         )
         round_u, round_v = self.geometry.IsUPeriodic(), self.geometry.IsVPeriodic()
-        if (round_u and u1 - u0 > self.geometry.UPeriod() - 1e-6) or (
-            round_v and v1 - v0 > self.geometry.VPeriod() - 1e-6
-        ):
-            raise SurfaceError('the face goes all the way round; split it in the CAD system')
+        refuse_if(
+            (round_u and u1 - u0 > self.geometry.UPeriod() - 1e-6)
+            or (round_v and v1 - v0 > self.geometry.VPeriod() - 1e-6),
+            SurfaceError('the face goes all the way round; split it in the CAD system'),
+        )
         return (u0, u1), (v0, v1)
 
     def _distance_inside(self, surface: Surface) -> float:

@@ -109,23 +109,6 @@ def _planes_figures(paths: Any) -> list[tuple[str, str, Any]]:
     return [('Tilt', 'Tilt along the passes.', tilt_figure(paths))]
 
 
-def _classical(
-    surface: Surface, cutter: Cutter, normal: FloatArray, wanted: Wanted, show: Show
-) -> Strips:
-    from cnc_interp.cam.classical import classical_paths
-    from cnc_interp.cam.surface import SurfaceError
-
-    tilt = wanted.choices['tilt']
-    paths = classical_paths(surface, cutter, normal, wanted.ridge, tilt, progress=show)
-    if paths.loop:
-        raise SurfaceError(
-            f'the classical path cannot cover this surface: {paths.loop}; take another direction '
-            'or --strategy planes'
-        )
-    strips: Strips = paths
-    return strips
-
-
 _ALL = (
     Strategy(
         'planes',
@@ -174,12 +157,6 @@ _ALL = (
         _planes_facts,
         _planes_words,
         _planes_figures,
-    ),
-    Strategy(
-        'classical',
-        'to compare, the classical iso-scallop path: constant tilt, a ball mill keeps its axis',
-        (TILT,),
-        _classical,
     ),
 )
 STRATEGIES = {strategy.name: strategy for strategy in _ALL}

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.cam.shapes import BSplineSurface, Bumps, Cap, Cylinder, Plane, Torus
 from cnc_interp.cam.step_file import Part, read_step_part
 from cnc_interp.cam.surface import Placed, Surface, SurfaceError
-from cnc_interp.core import DEG, MM, FloatArray
+from cnc_interp.core import DEG, MM, FloatArray, demand, refuse_if
 from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_json
 
 STEP_SUFFIXES = '.step', '.stp', '.p21'
@@ -68,8 +68,9 @@ def read_part(
 ) -> Part:
     if path.suffix.lower() in STEP_SUFFIXES:
         return read_step_safely(path, faces, note)
-    if faces:
-        raise SurfaceError(f'{path}: --face is for STEP files ({", ".join(STEP_SUFFIXES)})')
+    refuse_if(
+        faces, SurfaceError(f'{path}: --face is for STEP files ({", ".join(STEP_SUFFIXES)})')
+    )
     try:
         contents = read_json(path)
     except OSError as error:
@@ -82,11 +83,12 @@ def read_part(
         raise file.fault(f'kind is {kind!r}; it must be one of {", ".join(KEYS)}')
     known = {'kind', 'placement', 'comment', *KEYS[kind]}
     for key in contents:
-        if key not in known:
-            raise file.fault(f'{key} has no meaning for {kind}; it has {", ".join(KEYS[kind])}')
+        demand(
+            key in known,
+            file.fault(f'{key} has no meaning for {kind}; it has {", ".join(KEYS[kind])}'),
+        )
     for key in KEYS[kind]:
-        if key not in contents and key not in OPTIONAL:
-            raise file.fault(f'{key} is missing')
+        refuse_if(key not in contents and key not in OPTIONAL, file.fault(f'{key} is missing'))
     try:
         surface = _surface(file, kind)
     except SurfaceError as error:
@@ -157,8 +159,7 @@ def read_step_safely(path: Path, faces: Sequence[int], note: Callable[[str], Non
     part, notes, refusal = pickle.loads(child.stdout)
     for text in notes:
         note(text)
-    if refusal:
-        raise SurfaceError(refusal)
+    refuse_if(refusal, SurfaceError(refusal))
     read: Part = part
     return read
 

@@ -22,7 +22,7 @@ from cnc_interp.cam.request import SimulateRequest
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import heights_in_words, ridges_of
 from cnc_interp.cam.surface import SAMPLES, Surface
-from cnc_interp.core import MM, UM, FloatArray, InterpError, norm
+from cnc_interp.core import MM, UM, FloatArray, InterpError, demand, norm, refuse_if
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.report.html import STYLE
 
@@ -30,16 +30,15 @@ from cnc_interp.report.html import STYLE
 def refuse_options(request: SimulateRequest) -> None:
     if request.tiles is None:
         for name in ('workers', 'scheduler'):
-            if getattr(request, name) is not None:
-                raise InterpError(f'--{name} is for --tiles DIR')
+            refuse_if(
+                getattr(request, name) is not None, InterpError(f'--{name} is for --tiles DIR')
+            )
     elif request.out:
         raise InterpError('--tiles DIR writes its own page, DIR/index.html; leave out --out')
-    if request.workers is not None and request.workers < 1:
-        raise InterpError('--workers must be 1 or more')
-    if request.device != 'cpu' and request.scheduler is None:
-        from cnc_interp.cam.warp_cuts import warp
-
-        warp(request.device)
+    refuse_if(
+        request.workers is not None and request.workers < 1,
+        InterpError('--workers must be 1 or more'),
+    )
 
 
 def simulate_in_tiles(
@@ -48,8 +47,10 @@ def simulate_in_tiles(
     out, cutter = request.tiles, request.cutter
     assert out is not None
     u, v = surface.grid(SAMPLES, SAMPLES)
-    if not surface.contains(u, v).all():
-        raise InterpError('--tiles does not follow the boundary of a trimmed face; leave it out')
+    demand(
+        surface.contains(u, v).all(),
+        InterpError('--tiles does not follow the boundary of a trimmed face; leave it out'),
+    )
     grid = NeedleGrid.on(surface, request.spacing, request.margin)
     about = {
         'surface': str(request.surface),
@@ -69,7 +70,7 @@ def simulate_in_tiles(
 
     with ProgressBar(None if request.json else sys.stderr) as bar:
         crew = request.pool(request.scheduler, workers)
-        reached = cut_tiles(grid, sweep, crew, store, tell, request.device)
+        reached = cut_tiles(grid, sweep, crew, store, tell)
     figures = store.figures()
     page = TilePage(store, grid, request.scallop)
     away = store.make_levels(figures.mean, page.add_tile)

@@ -14,7 +14,17 @@ from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.spline_pass import ARM, SplinePass, sampled
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
 from cnc_interp.convert.conversion import convert
-from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError, norm, unit
+from cnc_interp.core import (
+    MM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InterpError,
+    demand,
+    norm,
+    refuse_if,
+    unit,
+)
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_program
@@ -36,8 +46,7 @@ class LinkOptions:
     clearance: float = 2.0 * MM
 
     def __post_init__(self) -> None:
-        if not self.clearance > 0.0:
-            raise InterpError('clearance must be positive')
+        demand(self.clearance > 0.0, InterpError('clearance must be positive'))
 
 
 @dataclass(frozen=True)
@@ -72,11 +81,13 @@ def link(
     def over(tip: FloatArray, axis: FloatArray) -> FloatArray:
         """Return the tip on the safe level: lifted along its axis, the mill meets nothing new."""
         rise = float(axis @ up)
-        if rise < UPRIGHT:
-            raise SurfaceError(
+        refuse_if(
+            rise < UPRIGHT,
+            SurfaceError(
                 'the tool axis leans too far to be lifted above the part; make a program of its '
                 'own for this face'
-            )
+            ),
+        )
         return np.asarray(tip + max((safe - float(tip @ up)) / rise, options.clearance) * axis)
 
     parts = _in_order(passes, options)

@@ -98,12 +98,6 @@ def add_cam_commands(commands: Any) -> None:
             'N',
         ),
         option('--scheduler', 'let the workers of `cluster` cut the tiles', metavar='ADDRESS'),
-        option(
-            '--device',
-            'what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
-            choices=('cpu', 'warp-cpu', 'cuda'),
-            default='cpu',
-        ),
         flag('--json', 'print the figures as JSON'),
     )
     simulate.set_defaults(pool=tile_workers)

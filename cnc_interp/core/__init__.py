@@ -171,3 +171,15 @@ class StreamError(InterpError):
     def __init__(self, message: str, kind: Refusal = Refusal.BAD_MESSAGE):
         self.kind = kind
         super().__init__(message)
+
+
+def demand(holds: object, fault: Exception) -> None:
+    """Raise a fault unless what is demanded holds."""
+    if not holds:
+        raise fault
+
+
+def refuse_if(fails: object, fault: Exception) -> None:
+    """Raise a fault if something fails."""
+    if fails:
+        raise fault

@@ -8,13 +8,13 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / 'cnc_interp'
 MOST = 8  #: Without ``self`` and ``cls``.
 
-#: Warp gives the functions of one needle to the graphics card: only scalars and rows of arrays.
-WARP = {f'cam.needle_cuts.{name}' for name in ('gap', 'entry', 'entry_at', 'cut_finely')}
+#: The functions of one needle take scalars and rows of arrays.
+NEEDLES = {f'cam.needle_cuts.{name}' for name in ('gap', 'entry', 'entry_at', 'cut_finely')}
 #: Kernels of one step of a stop, with one caller each.
 KERNELS = {'feedrate.stop_law._brake', 'feedrate.stop_law._first_stop'}
 #: Most arguments have defaults, and callers name the few that they give.
 BY_NAME = {'machine.cycle.__init__', 'program.geometry.arcs.arcs_of', 'proof.verdict.judge'}
-ALLOWED = WARP | KERNELS | BY_NAME
+ALLOWED = NEEDLES | KERNELS | BY_NAME
 
 
 def crowded(source):

@@ -126,20 +126,6 @@ def test_mill_and_scallop_are_those_of_the_paper_unless_given(words):
     assert (options.tool_diameter, options.corner_radius, options.scallop) == (13.0, 1.5, 10.0)
 
 
-@pytest.mark.parametrize(
-    'mill',
-    [[], pytest.param(['--tool-diameter', '10', '--corner-radius', '5'], marks=thorough)],
-)
-def test_classical_strategy_makes_a_program_too(mill, surface, tmp_path, capsys):
-    out = tmp_path / 'out'
-    arguments = ['--strategy', 'classical', '--tilt', '5', '--simulate', '--spacing', '0.3']
-    command = ['cam', 'iso-scallop', str(surface), *arguments, *mill, '--json', '--out', str(out)]
-    assert main(command) == FINE
-    summary = json.loads(capsys.readouterr().out)
-    assert summary['programmed']['ridge_50'] == pytest.approx(10e-6, rel=0.05)
-    assert summary['programmed']['uncut'] == 0.0 and 'tilt' not in summary
-
-
 def rates_about_the_pole(program):
     """Speed of C along the cutting moves of a program at the programmed feed, over its largest."""
     machine = Machine.load('xyzac')
@@ -204,8 +190,10 @@ def test_a_strategy_is_its_own_code_and_a_row(surface, tmp_path, capsys, monkeyp
 
     def passes(face, cutter, normal, wanted, show):
         asked.append(wanted.choices)
-        steep = replace(wanted, choices={'tilt': wanted.choices['lead']})
-        return STRATEGIES['classical'].passes(face, cutter, normal, steep, show)
+        planes = STRATEGIES['planes']
+        usual = {option.name.replace('-', '_'): option.default for option in planes.options}
+        steep = replace(wanted, choices=planes.choices(usual | {'tilt': 6.0}))
+        return planes.passes(face, cutter, normal, steep, show)
 
     row = Strategy(
         'steep',

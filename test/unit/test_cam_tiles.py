@@ -5,15 +5,12 @@ import json
 import re
 import sys
 import zlib
-from math import sqrt
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tiers import few_of
 
 from cnc_interp.batch.processes import EndedCall, Loss
-from cnc_interp.cam import needle_cuts, warp_cuts
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import KINDS, TILE, Figures, HeightStore, deviations
 from cnc_interp.cam.nbuffer import TOP, cut_needles, cut_part, cut_tiles
@@ -306,62 +303,8 @@ def test_options_that_do_not_fit_are_one_line(files, tmp_path, capsys, words, me
 
 def test_what_is_not_installed_is_named(files, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, 'zarr', None)
-    monkeypatch.setitem(sys.modules, 'warp', None)
     assert main([*files, '--tiles', str(tmp_path / 'd')]) == BAD_INPUT
     assert 'pip install zarr' in capsys.readouterr().err
-    assert main([*files, '--device', 'cuda']) == BAD_INPUT
-    assert 'pip install warp-lang' in capsys.readouterr().err
-
-
-def test_the_text_for_warp_cuts_the_same():
-    """What Warp is given, run as Python: each literal in double precision, the same bits."""
-    doubles = []
-
-    def double(value):
-        doubles.append(value)
-        return float(value)
-
-    names = {'sqrt': sqrt, 'TOP': TOP, 'DEPTH': needle_cuts.DEPTH, 'SHORT': needle_cuts.SHORT}
-    names['wp'] = wp = SimpleNamespace(
-        float64=double, int32=int, array=lambda dtype: None, array2d=lambda dtype: None
-    )
-    for name in warp_cuts.FUNCTIONS:
-        text = warp_cuts.translated(getattr(needle_cuts, name).py_func)
-        assert not re.search(r'(?<!float64\()(?<![\w.])\d+(\.\d+|e-\d+)', text)
-        exec(text, names)
-    exec(warp_cuts.KERNEL, names)
-    grid = NeedleGrid.on(SURFACE, 0.9 * MM)
-    needles = grid.needles(slice(0, 11), slice(0, 9))
-    sweep = MotionPieces.of(MILL, *gouging())
-    height = np.full(99, TOP)
-    needle = np.concatenate([needles.base, needles.normal], axis=2).reshape(-1, 6)
-    for j in range(0, 99, 7):
-        wp.tid = lambda j=j: j
-        names['cut_needle'](
-            needle,
-            sweep.first,
-            sweep.middle,
-            sweep.last,
-            sweep.slack,
-            sweep.rough,
-            np.flatnonzero(np.diff(sweep.batch, append=-1)) + 1,
-            *sweep.search,
-            MILL.tool_radius,
-            sweep.skin,
-            height,
-        )
-    assert np.array_equal(height[::7], cut_part(needles, sweep).ravel()[::7])
-    assert doubles and (height[::7] < 0.2 * MM).any()
-
-
-@pytest.mark.thorough
-def test_warp_cuts_the_same_to_rounding():
-    pytest.importorskip('warp')
-    needles = Needles.on(SURFACE, 0.2 * MM)
-    for mill, motion in ((MILL, gouging()), (Cutter(2 * MM, 0.0), wild(4))):
-        found = cut_needles(needles, mill, *motion, device='warp-cpu').height
-        expected = cut_needles(needles, mill, *motion).height
-        np.testing.assert_allclose(found, expected, atol=2e-11)
 
 
 def test_tile_is_a_whole_number_of_patches():

@@ -33,7 +33,6 @@ def pins(name):
         'step',
         'batch',
         'tiles',
-        'warp',
         'colcon',
     ],
 )

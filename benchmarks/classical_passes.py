@@ -1,21 +1,38 @@
-"""The classical iso-scallop path: constant angles; each pass follows the scallop of the last one.
-
-[TL2008, 1]. The guided point moves over the guiding surface until the mill leaves the same scallop
-point with the same tangent. Such passes may turn back or cross themselves; the result says where.
 """
+The classical iso-scallop path [TL2008, 1], which the figures of the documentation compare with.
+
+Its angles are constant, and each pass follows from the scallop of the one before. The guided point
+moves over the guiding surface until the mill leaves the same scallop point with the same tangent.
+Such passes may turn back or cross themselves; the result says where.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.gouge import gouge_depth
-from cnc_interp.cam.guiding import CurveFrames, GuidingPlanes, SurfaceCurve, crossing
+from cnc_interp.cam.guiding import CurveFrames, GuidingPlanes
 from cnc_interp.cam.passes import constant_tilt
 from cnc_interp.cam.scallop import Scallops, conditions, newton_step, resting, scallop_points
-from cnc_interp.cam.surface import Surface, SurfaceError, place
-from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, cross, dot, norm, scaled, unit
+from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint, place
+from cnc_interp.core import (
+    DEG,
+    MM,
+    UM,
+    BoolArray,
+    FloatArray,
+    cross,
+    dot,
+    norm,
+    refuse_if,
+    scaled,
+    unit,
+)
 
 SPACING = 0.8 * MM  #: Distance of the points of a pass [m].
 CLOSE = 1e-10  #: Largest residual of the conditions [m].
@@ -23,6 +40,72 @@ CLOSE = 1e-10  #: Largest residual of the conditions [m].
 FARTHEST = 1.0 * MM
 MOST_PASSES = 2000
 SWEEPS = 2  #: Number of times that the feed direction is taken from the pass itself.
+
+
+NEAR = 1.0 * UM  #: Distance of the points that show the change of direction of a curve [m].
+
+
+@dataclass(frozen=True)
+class SurfaceCurve:
+    surface: Surface  #: The surface to machine.
+    offset: float  #: Corner radius r_c [m].
+    parameters: BSpline  #: u and v by the approximate arc length of K.
+    length: float  #: Value of that arc length at the end; it begins at 0 [m].
+
+    @staticmethod
+    def through(surface: Surface, offset: float, u: FloatArray, v: FloatArray) -> SurfaceCurve:
+        position = surface.at(u, v).offset(offset).position
+        s = np.concatenate([[0.0], np.cumsum(norm(np.diff(position, axis=0)))])
+        spline = make_interp_spline(s, np.stack([u, v], axis=1), k=5)
+        return SurfaceCurve(surface, offset, spline, float(s[-1]))
+
+    def _feed(self, s: FloatArray) -> tuple[SurfacePoint, FloatArray, FloatArray]:
+        u, v = self.parameters(s).T
+        u_s, v_s = self.parameters(s, 1).T
+        point = self.surface.at(u, v)
+        guide = point.offset(self.offset)
+        run = scaled(u_s, guide.d_u) + scaled(v_s, guide.d_v)
+        return point, unit(run), norm(run)
+
+    def frames(self, s: FloatArray) -> CurveFrames:
+        """Return K and its frame at places (n,) [m]; the rates are by arc length of K."""
+        point, feed, speed = self._feed(s)
+        ahead, behind = self._feed(s + NEAR)[1], self._feed(s - NEAR)[1]
+        n, n_s = point.normal, point.offset(self.offset).normal_rate(feed)
+        f_s = scaled(0.5 / (NEAR * speed), ahead - behind)
+        t = cross(feed, n)
+        u, v = self.parameters(s).T
+        return CurveFrames(
+            point.offset(self.offset).position,
+            n,
+            feed,
+            t,
+            n_s,
+            f_s,
+            cross(f_s, n) + cross(feed, n_s),
+            u,
+            v,
+            point.curvature(t),
+        )
+
+
+def crossing(u: FloatArray, v: FloatArray) -> int:
+    n = len(u) - 1
+    if n < 3:
+        return -1
+    du, dv = np.diff(u), np.diff(v)
+
+    def side(i: slice, j: slice, shift: int) -> FloatArray:
+        x = u[j.start + shift : j.stop + shift][None, :] - u[i][:, None]
+        y = v[j.start + shift : j.stop + shift][None, :] - v[i][:, None]
+        return np.asarray(du[i][:, None] * y - dv[i][:, None] * x)
+
+    whole = slice(0, n)
+    apart = side(whole, whole, 0) * side(whole, whole, 1) < 0.0
+    cut = apart & apart.T
+    near = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :]) < 2
+    hit = (cut & ~near).any(axis=1)
+    return int(np.argmax(hit)) if hit.any() else -1
 
 
 @dataclass(frozen=True)
@@ -74,8 +157,10 @@ class _Run:
     def all_passes(self, start: float | None, progress: Callable[[float], None]) -> ClassicalPaths:
         passes = [self.first_pass(start)]
         while self.covers_more(passes[-1]):
-            if len(passes) >= MOST_PASSES:
-                raise SurfaceError(f'more than {MOST_PASSES} passes; is the scallop height right?')
+            refuse_if(
+                len(passes) >= MOST_PASSES,
+                SurfaceError(f'more than {MOST_PASSES} passes; is the scallop height right?'),
+            )
             u, v, found = self.followed(passes[-1])
             loop = self.loop(passes[-1], u, v, found)
             if loop:
@@ -110,6 +195,8 @@ class _Run:
                 f'pass {number} at {place(postures.contact[i])}: the mill leaves no scallop of '
                 f'{self.height / UM:g} um within its width; take a larger tilt'
             )
+        if self.cutter.is_ball:  # its bottom is a point
+            return ClassicalPass(curve, s, postures, right)
         depth = gouge_depth(self.surface, postures)
         if float(depth.max()) > UM:
             i = int(np.argmax(depth))
@@ -202,7 +289,7 @@ class _Run:
         return resting(self.cutter, frames, self.tilt, 0.0)
 
     def loop(self, before: ClassicalPass, u: FloatArray, v: FloatArray, found: BoolArray) -> str:
-        """Return where the next pass turns back, has a corner or crosses itself; else empty."""
+        """Say where the next pass turns back, has a corner or crosses itself; empty if none."""
         ours = self.surface.contains(u, v, 0.0)
         if (ours & ~found).any():
             i = int(np.argmax(ours & ~found))

@@ -14,7 +14,7 @@ from cnc_interp.core.compile_time import COMPILING
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run import time_fit
 from cnc_interp.run.time_fit import TimedProgram, TimeFit, TracedRun, measured_override
-from cnc_interp.run.time_records import CycleTime, Trace, load_traces
+from cnc_interp.run.time_records import Trace, cycle_times, load_traces
 from cnc_interp.settings.options import Settings
 
 SUITE = Path(__file__).parents[3] / 'shared/suites/nist-box'
@@ -210,42 +210,20 @@ def test_streams_of_mtconnect_and_traces_of_a_sinumerik_are_records(tmp_path):
             traces(tmp_path, 'r.xml', text)
 
 
-def fitted_to(folder, rows):
-    """Fit the guess to cycle times; return the time of each tool by it, and its text."""
-    (folder / 'times.csv').write_text(rows)
-    words = ['times.csv', 'p.ngc', '--machine', 'guess.yaml', '--out', 'fitted.yaml']
-    words = [word if word[0] == '-' else str(folder / word) for word in words]
-    assert main(['fit-limits', *words]) == 0
-    machine = Machine.load(folder / 'fitted.yaml')
-    program = TimedProgram.load(folder / 'p.ngc', machine, Settings())
-    times = [CycleTime(2, 'p.ngc', tool, 1.0) for tool in (1, 2, 3)]
-    (run,) = TracedRun.of_times(program, machine, times, folder / 'times.csv')
-    planned = run.planned(program.motion(machine))
-    return planned + run.standing, (folder / 'fitted.yaml').read_text()
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize('by_tool', [True, False])
-def test_cycle_times_that_a_shop_wrote_down_bring_the_plan_near_them(recorded, capsys, by_tool):
-    capsys.readouterr()
-    stands = TRUTH[TRUTH.index('standstill') :]
-    (recorded / 'guess.yaml').write_text(GUESS + stands)
-    words = ['estimate', str(recorded / 'p.ngc'), '--json', '--machine']
-    assert main([*words, str(recorded / 'guess.yaml')]) == 0
-    guessed = json.loads(capsys.readouterr().out)
-    assert main([*words, str(recorded / 'truth.yaml')]) == 0
-    true = json.loads(capsys.readouterr().out)
-    rows = ''.join(f'p.ngc,{one["tool"]},{one["time_s"]}\n' for one in true['tools'])
-    total = f'program,time_s\np.ngc,{true["total_s"]}\n'
-    found, text = fitted_to(recorded, f'program,tool,time_s\n{rows}' if by_tool else total)
-    wanted = np.array([one['time_s'] for one in true['tools']])
-    before = np.array([one['time_s'] for one in guessed['tools']])
-    assert np.abs(before / wanted - 1.0).max() > 0.05
-    assert found == pytest.approx(wanted, rel=0.02 if by_tool else 0.04)
-    # Three times show no single limit: those that they do not show stay as they were.
-    assert 'as before: these runs do not show it' in text
-    content = yaml.safe_load(text)
-    assert content['standstill'] == yaml.safe_load(TRUTH)['standstill']
+def test_cycle_times_by_tool_are_windows_of_the_motion_alone(recorded, capsys):
+    """Rows as `estimate` prints them, on the machine that is known: what moves is what is left."""
+    words = [str(recorded / 'p.ngc'), '--machine', str(recorded / 'truth.yaml'), '--json']
+    assert main(['estimate', *words, '--workers', '1']) == 0
+    tools = json.loads(capsys.readouterr().out)['tools']
+    rows = ''.join(f'p.ngc,{one["tool"]},{one["time_s"]}\n' for one in tools)
+    (recorded / 'times.csv').write_text(f'program,tool,time_s\n{rows}')
+    machine = Machine.load(recorded / 'truth.yaml')
+    program = TimedProgram.load(recorded / 'p.ngc', machine, Settings())
+    times = cycle_times(recorded / 'times.csv')
+    (run,) = TracedRun.of_times(program, machine, times, recorded / 'times.csv')
+    moving = [one['cutting_s'] + one['rapid_s'] for one in tools]
+    assert run.measured == pytest.approx(moving, abs=1e-6)
+    assert run.planned(program.motion(machine)) == pytest.approx(moving, rel=1e-3)
 
 
 def test_parts_of_a_long_program_take_their_time_in_the_whole(tmp_path, monkeypatch):

@@ -181,9 +181,11 @@ def nearest_along(
     """Return the least distance at the begins of cells, or ``best`` if that is smaller [m].
 
     Also return the row of ``roots`` and the cell where it occurs; -1 and -1 if none is nearer.
+    The last normal of a pair usually shows that it is still farther apart than ``best``.
     """
     pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
     q, out, pieces = np.empty(route.bezier.shape[1]), np.empty(9), space.pieces
+    normal = np.zeros((len(roots), 3))
     found, where = -1, -1
     for cell in cells:
         pose_at(space, route, route.s[cell], q, pose)
@@ -199,7 +201,11 @@ def nearest_along(
                         waiting.append((part, b) if divided == a else (a, part))
                     continue
                 relative_pose(pose[pieces.link[b]], pose[pieces.link[a]], rel)
+                n = normal[row, 0], normal[row, 1], normal[row, 2]
+                if n != (0.0, 0.0, 0.0) and _along(space, a, b, rel, n) >= best:
+                    continue
                 distance = nearest(pieces, a, b, rel, out)
+                normal[row] = out[:3]
                 if distance < best:
                     best, found, where = distance, row, cell
     return best, found, where

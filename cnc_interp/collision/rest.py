@@ -122,13 +122,14 @@ def _march(inside: FloatArray) -> FloatArray:
     return np.concatenate(found)
 
 
-def against_part(stock: CutStock, part: Body) -> dict[str, float]:
-    """Return the largest excess of the remaining stock over the part, and the deepest gouge [m].
+def against_part(stock: CutStock, part: Body) -> tuple[FloatArray, FloatArray]:
+    """Return places on the surface of the part, (n, 3), and the excess there, (n,) [m].
 
-    Each place on the surface of the part is measured along the lines nearest to its normal.
+    A gouge is a negative excess. Each place is measured along the lines nearest to its normal.
+    Places where the whole line is outside the stock are left out.
     """
     assert part.triangles is not None
-    found = np.zeros(2)
+    places, found = [], []
     for axis in range(3):
         left = stock.field_along(axis)
         corners = np.ascontiguousarray(np.roll(part.triangles, 2 - axis, axis=2))
@@ -136,26 +137,31 @@ def against_part(stock: CutStock, part: Body) -> dict[str, float]:
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         judged = np.abs(normal).argmax(axis=1)[who[:, 1]] == 2
         along = (normal[:, 2] / np.linalg.norm(normal, axis=1))[who[:, 1]]
-        beyond(left, who[judged, 0], ends[judged, 0], along[judged], found)
-    return dict(zip(('excess', 'gouge'), found.tolist(), strict=True))
+        line, height = who[judged, 0], ends[judged, 0]
+        found.append(beyond(left, line, height, along[judged]))
+        places.append(np.column_stack([lines(left).reshape(-1, 2)[line], height]))
+        places[-1] = np.roll(places[-1], axis - 2, axis=1)
+    error = np.concatenate(found)
+    known = np.isfinite(error)
+    return np.concatenate(places)[known], error[known]
 
 
 @njit(cache=True, nogil=True)
-def beyond(
-    field: Field, line: IntArray, height: FloatArray, along: FloatArray, found: FloatArray
-) -> None:
-    """Update excess and gouge in ``found`` with their values at places of the part's surface [m].
+def beyond(field: Field, line: IntArray, height: FloatArray, along: FloatArray) -> FloatArray:
+    """Return the excess at places of the part's surface [m]; negative: a gouge, NaN: no stock.
 
     ``along``: component along the lines of the outward normal at each place [-].
     """
+    found = np.full(len(line), np.nan)
     for m in range(len(line)):
         i, j = divmod(line[m], field.used.shape[1])
-        sense, missing = np.sign(along[m]), FAR
+        sense, missing, excess = np.sign(along[m]), FAR, 0.0
         for k in range(field.used[i, j]):
             ends = sense * (field.ends[i, j, k] - height[m])
             front, back = max(ends[0], ends[1]), min(ends[0], ends[1])
             if back <= 0.0:  # else it lies outside, with a gap
                 missing = min(missing, max(-front, 0.0))
-                found[0] = max(found[0], front * abs(along[m]))
+                excess = max(excess, front)
         if missing < FAR:
-            found[1] = max(found[1], missing * abs(along[m]))
+            found[m] = (excess - missing) * abs(along[m])
+    return found

@@ -84,6 +84,7 @@ SELDOM = {
     'collision': COLLISION_COLUMNS,
     'removal': {'begin': REAL, 'end': REAL, 'removed': REAL},
     'remaining': {'line': WHOLE, 'interval': Column((2,))},
+    'rest': {'place': Column((3,)), 'excess': REAL},
     'functions': FUNCTION_COLUMNS,
     'followed': {
         'block': WHOLE,
@@ -217,6 +218,7 @@ class PlanFiles:
     #: Pieces of motion that cut the stock, and the remaining material on its lines.
     removal: Columns = field(default_factory=dict)
     remaining: Columns = field(default_factory=dict)
+    rest: Columns = field(default_factory=dict)  #: Its excess at places on the part.
     #: Setpoints of lines in step with the spindle and its ``angle`` [rev]; only records have them.
     followed: Columns = field(default_factory=dict)
 

@@ -55,4 +55,33 @@ def stock_section(plan: PlanFiles) -> str:
     ]
     text = f'The stock is cut on a grid of {told["grid"] / MM:g} mm.'
     content = html.drawing(html.laid_out(figure, 280)) + html.table(('stock', 'value'), rows)
-    return html.section('Material removed', text, content)
+    return html.section('Material removed', text, content + _rest(plan))
+
+
+def _rest(plan: PlanFiles) -> str:
+    """Return the part, coloured by what is left on it; '' without a part."""
+    if not plan.rest:
+        return ''
+    place, excess = (np.asarray(plan.rest[key]) / MM for key in ('place', 'excess'))
+    most = float(np.abs(excess).max()) or 1.0
+    marker = {
+        'size': 2.5,
+        'color': html.rounded(excess),
+        'colorscale': 'RdBu',
+        'reversescale': True,
+        'cmin': -most,
+        'cmax': most,
+        'colorbar': {'title': 'excess (mm)'},
+    }
+    figure = go.Figure()
+    x, y, z = (html.rounded(column) for column in place.T)
+    figure.add_scatter3d(
+        x=x,
+        y=y,
+        z=z,
+        mode='markers',
+        marker=marker,
+        hovertemplate='%{marker.color:.3f} mm<extra></extra>',
+    )
+    figure.update_scenes(aspectmode='data')
+    return html.drawing(html.laid_out(figure, 480))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 REFUSE = 'refuse'
 TIP_MOVES = 1e-9  #: The tip rests in a cell in which it moves less [m].
+PLACES = 20_000  #: Most places of the part whose excess is kept for the report.
 
 
 def clearance_of(
@@ -228,17 +229,30 @@ class ClearanceStage:
         if self.clearance.stock is None:
             return {}
         removal, remaining = self.clearance.stock.columns()
-        return {'removal': removal, 'remaining': remaining}
+        found = {'removal': removal, 'remaining': remaining}
+        if (rest := self._rest) is not None and len(rest[0]):
+            some = np.linspace(0, len(rest[0]) - 1, min(len(rest[0]), PLACES)).astype(int)
+            some = np.append(some, [rest[1].argmin(), rest[1].argmax()])
+            found['rest'] = {'place': rest[0][some], 'excess': rest[1][some]}
+        return found
+
+    @cached_property
+    def _rest(self) -> tuple[FloatArray, FloatArray] | None:
+        stock, part = self.clearance.stock, self.clearance.scene.part
+        if stock is None or part is None:
+            return None
+        from cnc_interp.collision.rest import against_part
+
+        return against_part(stock, part)
 
     def _stock_summary(self) -> dict[str, Any]:
-        stock, part = self.clearance.stock, self.clearance.scene.part
+        stock = self.clearance.stock
         if stock is None:
             return {}
         found = stock.figures() | {'hits': sum(hit.material for hit in self.hits)}
-        if part is not None:
-            from cnc_interp.collision.rest import against_part
-
-            found |= against_part(stock, part)
+        if self._rest is not None:
+            found['excess'] = float(self._rest[1].max(initial=0.0))
+            found['gouge'] = float(-self._rest[1].min(initial=0.0))
         return {'stock': found}
 
     def require(self, source: str) -> None:

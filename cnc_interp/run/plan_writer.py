@@ -49,7 +49,7 @@ _AS_IN_BLOCKS = (
     'program_stop',
 )
 #: Files that only some plans have.
-SELDOM = 'functions', 'followed', 'collision', 'removal', 'remaining'
+SELDOM = 'functions', 'followed', 'collision', 'removal', 'remaining', 'rest'
 SETPOINT_COLUMNS = {name: of for name, of in Setpoints.declared.items() if of.in_plans}
 #: Number of path cells, and of setpoints, collected before they are measured and written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14

@@ -34,7 +34,7 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.page.preview import Preview
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.report.stock import removal_rates
+from cnc_interp.report.stock import removal_rates, stock_section
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.settings.options import Settings
@@ -389,6 +389,13 @@ def test_excess_and_gouge_are_those_of_the_part(folder):
     high = told(folder)
     assert high['gouge'] == pytest.approx(0.5 * MM, abs=0.1 * MM)
     assert high['excess'] == pytest.approx(0.5 * MM, abs=0.2 * MM)
+    # Material above the raised top is missing, and below the raised bottom it is in excess.
+    rest = read_plan(folder / 'plan').rest
+    height, excess = rest['place'][:, 2], rest['excess']
+    for at, off in ((height.max(), -0.5), (height.min(), 0.5)):
+        there = np.abs(height - at) < 0.01 * MM
+        assert there.sum() > 100 and np.median(excess[there]) == pytest.approx(off * MM, abs=UM)
+    assert 'excess (mm)' in stock_section(read_plan(folder / 'plan'))
 
 
 def test_removal_rates_sum_up_to_the_volume(folder):

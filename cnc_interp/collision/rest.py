@@ -15,7 +15,7 @@ from cnc_interp.collision.mill_sweep import FAR
 from cnc_interp.collision.motions import BEGIN, END, REMOVED, part_of
 from cnc_interp.collision.scene import Body
 from cnc_interp.collision.stock import Field, crossings, field_of, lines
-from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
 #: Least distance of nodes from the surface, as a share of the grid; corners then never coincide
@@ -23,6 +23,7 @@ from cnc_interp.core.kernels import njit
 APART = 0.01
 NODES = 100_000  #: Approximate number of nodes of the grid for drawings.
 SMALLEST = 1e-15  #: Pieces that remove less are not divided [m3].
+LEVEL = 0.1  #: A surface is followed both ways along an axis that its normal leaves by less [-].
 #: A cube in six tetrahedra around its diagonal; corner k lies at (k & 1, k >> 1 & 1, k >> 2).
 TETRAHEDRA = (0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)
 #: Edges of a tetrahedron that cross the surface, three per triangle, for each number of corners
@@ -125,25 +126,66 @@ def _march(inside: FloatArray) -> FloatArray:
 def against_part(stock: CutStock, part: Body) -> tuple[FloatArray, FloatArray]:
     """Return places on the surface of the part, (n, 3), and the excess there, (n,) [m].
 
-    A gouge is a negative excess. Each place is measured along the lines nearest to its normal.
-    Places where the whole line is outside the stock are left out.
+    A gouge is a negative excess. Each place is measured along the lines nearest to its normal;
+    where the surface of the stock is nearer along another axis, that distance counts. Places
+    whose whole line is outside the stock are left out.
     """
     assert part.triangles is not None
-    places, found = [], []
-    for axis in range(3):
-        left = stock.field_along(axis)
+    fields = [stock.field_along(axis) for axis in range(3)]
+    a, b, c = np.moveaxis(part.triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    places, turned, found = [], [], []
+    for axis, left in enumerate(fields):
         corners = np.ascontiguousarray(np.roll(part.triangles, 2 - axis, axis=2))
         who, ends = crossings(left.place, lines(left), corners, 0.0)
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        judged = np.abs(normal).argmax(axis=1)[who[:, 1]] == 2
-        along = (normal[:, 2] / np.linalg.norm(normal, axis=1))[who[:, 1]]
-        line, height = who[judged, 0], ends[judged, 0]
-        found.append(beyond(left, line, height, along[judged]))
-        places.append(np.column_stack([lines(left).reshape(-1, 2)[line], height]))
-        places[-1] = np.roll(places[-1], axis - 2, axis=1)
+        judged = np.abs(normals[who[:, 1]]).argmax(axis=1) == axis
+        (line, triangle), height = who[judged].T, ends[judged, 0]
+        found.append(beyond(left, line, height, normals[triangle, axis]))
+        across = lines(left).reshape(-1, 2)[line]
+        places.append(np.roll(np.column_stack([across, height]), axis - 2, axis=1))
+        turned.append(normals[triangle])
     error = np.concatenate(found)
     known = np.isfinite(error)
-    return np.concatenate(places)[known], error[known]
+    error, place = error[known], np.concatenate(places)[known]
+    outward = np.concatenate(turned)[known] * np.sign(error)[:, None]
+    size = np.abs(error)
+    for axis, left in enumerate(fields):
+        down, up = ways_out(left, np.roll(place, 2 - axis, axis=1), error > 0.0).T
+        np.minimum(size, up, out=size, where=outward[:, axis] > -LEVEL)
+        np.minimum(size, down, out=size, where=outward[:, axis] < LEVEL)
+    return place, np.copysign(size, error)
+
+
+@njit(cache=True, nogil=True)
+def ways_out(field: Field, place: FloatArray, inside: BoolArray) -> FloatArray:
+    """Return the ways down and up from places, (n, 3), to the next end of material, (n, 2) [m].
+
+    ``inside``: whether each place lies in material. The four lines around a place are followed.
+    Where one of them says otherwise, the surface is within a cell.
+    """
+    out, size = np.full((len(place), 2), FAR), field.place[2]
+    for m in range(len(place)):
+        low_i = int(np.floor((place[m, 0] - field.place[0]) / size - 0.5))
+        low_j = int(np.floor((place[m, 1] - field.place[1]) / size - 0.5))
+        for corner in range(4):
+            i, j, within = low_i + corner % 2, low_j + corner // 2, False
+            if not (0 <= i < field.used.shape[0] and 0 <= j < field.used.shape[1]):
+                continue
+            for k in range(field.used[i, j]):
+                down = place[m, 2] - field.ends[i, j, k, 0]
+                up = field.ends[i, j, k, 1] - place[m, 2]
+                here = down >= 0.0 and up >= 0.0
+                within |= here
+                if inside[m] and here:
+                    out[m, 0], out[m, 1] = min(out[m, 0], down), min(out[m, 1], up)
+                if not inside[m] and up < 0.0:
+                    out[m, 0] = min(out[m, 0], -up)
+                if not inside[m] and down < 0.0:
+                    out[m, 1] = min(out[m, 1], -down)
+            if within != inside[m]:
+                out[m] = np.minimum(out[m], size)
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -396,6 +396,13 @@ def test_excess_and_gouge_are_those_of_the_part(folder):
         there = np.abs(height - at) < 0.01 * MM
         assert there.sum() > 100 and np.median(excess[there]) == pytest.approx(off * MM, abs=UM)
     assert 'excess (mm)' in stock_section(read_plan(folder / 'plan'))
+    # Below a floor that is 0.5 mm too high, the walls of the part are 0.5 mm deep in material,
+    # though the material along their normals ends at the far side of the block.
+    (folder / 'scene.yaml').write_text(NECK + BLOCK % 0.4 + part % ', at_mm: [0, 0, -0.5]')
+    assert plan(folder) == 0
+    low = told(folder)
+    assert low['excess'] == pytest.approx(0.5 * MM, abs=0.2 * MM)
+    assert low['gouge'] == pytest.approx(0.5 * MM, abs=0.2 * MM)
 
 
 def test_removal_rates_sum_up_to_the_volume(folder):

@@ -153,9 +153,9 @@ def position_of(setup: JobSetup, name: str) -> Mapping[str, float]:
 
 
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:
-    """Return the values of an offset that count [m, rad], a work offset with its rotation R.
+    """Return all values of a work offset (with its rotation R) or of G92 [m, rad].
 
-    A work offset has those of the machine file where it is not set, G92 has 0.
+    Where a value is not set, a work offset has that of the machine file, and G92 has 0.
     """
     if name == 'G92':
         return dict.fromkeys(table.axes, 0.0) | dict(setup.g92)

@@ -4,7 +4,8 @@ With t in [-1, 1] along the interval of s, axis j satisfies
 
     q_j(s) = c_j + a_j t + e_j,    |e_j| <= eps_j
 
-where c + a t is the chord between the ends of the interval. A septic lies between the least and
+where c + a t is the chord between the ends of the interval, shifted to the middle of the
+deviations. A septic lies between the least and
 the greatest of its Bezier values. Its deviation from the chord is also a septic, so the same
 holds.
 """
@@ -64,7 +65,7 @@ def enclose(
     last: int,
     out: FloatArray,
 ) -> None:
-    """Write c, a and eps of all axes, (3, n_axes), for s from begin to end [m].
+    """Write centre c, half-way a and bound eps of all axes, (3, n_axes), for s in an interval [m].
 
     ``first`` and ``last``: the first and last cell that the interval meets.
     """

@@ -1,7 +1,7 @@
 """The limits of the axes: one object per axis, made from the machine file and used in every room.
 
 Rooms read a quantity from ``Limits`` by its name. Kernels get ``Limits.table``, which is packed
-only here; ``limit_table.py`` describes and reads it. A new kind of limit, such as one that
+only here; ``limit_kernels.py`` describes and reads it. A new kind of limit, such as one that
 depends on another axis, needs a field of ``AxisLimits``, rows of the table, and a change of
 ``limit_at``.
 """
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray
-from cnc_interp.core.limit_table import DRIVE, FAR, PLACE, limits_along
+from cnc_interp.core.limit_kernels import DRIVE, FAR, PLACE, limits_along
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Limits:
 
     @cached_property
     def table(self) -> FloatArray:
-        """All limits in the form for kernels, (7, n_axes, m); see ``limit_table.py``."""
+        """All limits in the form for kernels, (7, n_axes, m); see ``limit_kernels.py``."""
         m = max((len(of.position) for _, of in self.placed), default=1)
         table = np.zeros((7, len(self.axes), m))
         table[:PLACE], table[PLACE], table[DRIVE] = self.by_order[..., None], inf, inf

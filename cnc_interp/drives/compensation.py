@@ -10,10 +10,10 @@ proven setpoints are sent unchanged, some periods later, and the whole inverse g
 
     f g = kv (m - c) + (1 + tau B) m' + tau m'' + tau F.
 
-Derivatives are taken of polynomials through some setpoints before and after. To know later
-setpoints, all axes are delayed by the same ``lead``, which does not change the path. Setpoints of
-a drive with a longer dead time are sent earlier. Signs at a reversal are smoothed over a few
-milliseconds. Programs, stop tails and motion by hand are all compensated.
+Derivatives are those of polynomials that fit some setpoints before and after by least squares.
+To know later setpoints, all axes are delayed by the same ``lead``, which does not change the path.
+Setpoints of a drive with a longer dead time are sent earlier. Signs at a reversal are smoothed
+over a few milliseconds. Programs, stop tails and motion by hand are all compensated.
 
 The feed-forward learnt in earlier runs of a program (``learning.py``) is added to g while the
 setpoints are, bit for bit, those of that program. After any other setpoint it fades to zero.

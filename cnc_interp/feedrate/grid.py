@@ -13,7 +13,7 @@ import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
-from cnc_interp.core.limit_table import (
+from cnc_interp.core.limit_kernels import (
     ACCELERATION,
     DRIVE,
     JERK,

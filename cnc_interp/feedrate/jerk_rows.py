@@ -29,7 +29,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray
 from cnc_interp.core.kernels import njit
-from cnc_interp.core.limit_table import (
+from cnc_interp.core.limit_kernels import (
     ACCELERATION,
     COULOMB,
     DRIVE,

@@ -22,7 +22,7 @@ import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
-from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, has_loads, limit_at
+from cnc_interp.core.limit_kernels import ACCELERATION, COULOMB, DRIVE, has_loads, limit_at
 from cnc_interp.feedrate.barrier_rows import Iterate
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import MS, BoolArray, FloatArray
-from cnc_interp.core import limit_table as by_place
+from cnc_interp.core import limit_kernels as by_place
 from cnc_interp.core.axis_limits import Limits
 from cnc_interp.core.kernels import njit
-from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS
+from cnc_interp.core.limit_kernels import COULOMB, DRIVE, VISCOUS
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.motion_law import CellLaw
 from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, PathCells, septic_coefficients

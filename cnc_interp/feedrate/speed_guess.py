@@ -8,7 +8,7 @@ purposes: it shows where time is spent, and it is the starting point of the inte
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray
-from cnc_interp.core import limit_table as by_place
+from cnc_interp.core import limit_kernels as by_place
 from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 

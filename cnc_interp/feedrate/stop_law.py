@@ -21,7 +21,7 @@ import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.kernels import njit
-from cnc_interp.core.limit_table import JERK, VELOCITY, acceleration_room, limit_at
+from cnc_interp.core.limit_kernels import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.limit_use import (
     TORQUE,
     bends_of_use,

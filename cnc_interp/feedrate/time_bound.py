@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core import limit_table as by_place
+from cnc_interp.core import limit_kernels as by_place
 from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet

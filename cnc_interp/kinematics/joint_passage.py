@@ -276,9 +276,9 @@ def walked(
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, bool]:
     """Follow segments in steps from the present joints, and return the fields of ``_Walk``.
 
-    The walk ends at the first step whose measure is below ``least``. If ``least`` is 0, it passes
-    singular poses in segments from ``opens`` on, continues on any branch that it finds, and ends
-    if there is none.
+    The walk ends at the first step whose measure is below ``least``. If ``least`` is 0, singular
+    poses are allowed from segment ``opens`` on. There the walk continues on any branch that it
+    finds, and it ends where it finds none.
     """
     count, n = len(lengths), len(stands.q)
     halves = np.empty(count, dtype=np.int64)

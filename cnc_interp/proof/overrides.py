@@ -42,7 +42,7 @@ class Overrides:
         return np.asarray(feed * np.where(self._turns, self._spindle[k], 1.0))
 
     def spans(self, count: int) -> Iterator[tuple[int, int, FloatArray]]:
-        """Divide ``count`` setpoints into ranges of constant factors; yield these with each."""
+        """Yield ranges (first, last) of setpoints with one override, and its feed factors."""
         for a, b in spans(count):
             inner = self.first[(self.first > a) & (self.first < b)].tolist()
             for first, last in pairwise([a, *inner, b]):

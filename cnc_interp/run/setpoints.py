@@ -11,7 +11,7 @@ import numpy as np
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.axis_limits import Limits
 from cnc_interp.core.kernels import njit
-from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, largest_between
+from cnc_interp.core.limit_kernels import COULOMB, DRIVE, VISCOUS, largest_between
 from cnc_interp.core.tables import Table, column
 from cnc_interp.feedrate.motion_law import axis_motion
 from cnc_interp.feedrate.planning_windows import PlannedPiece

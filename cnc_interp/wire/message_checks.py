@@ -80,7 +80,8 @@ def _check_interpolation(name: str, message: G1Block) -> None:
     if message.interpolation == G1Block.POSES:
         return
     if message.interpolation > G1Block.AXES_LINEAR or message.spline or message.sequence == 0:
-        raise StreamError(f'{name}: interpolation {message.interpolation} is not possible here')
+        text = 'send 0 for splines and for the first block, otherwise 0, 1 or 2'
+        raise StreamError(f'{name}: interpolation {message.interpolation} is not possible: {text}')
     if not np.isfinite([*message.rotary, *message.rotary_from]).all():
         raise StreamError(f'{name}: linear rotary axes need positions at both ends; send numbers')
 

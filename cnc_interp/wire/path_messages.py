@@ -266,7 +266,10 @@ def chunk_message(
     signals: Signals = NO_SIGNALS,
     settings: OperatorSettings = AS_PROGRAMMED,
 ) -> SetpointChunk:
-    """Convert a chunk to a message; ``joins``: whether its plan joins in motion with it."""
+    """Convert a chunk to a message.
+
+    ``joins``: whether it is the first chunk of a plan that takes over while the axes move.
+    """
     samples = chunk.samples
     return SetpointChunk(
         **vars(run_id),

@@ -13,7 +13,7 @@ from tiers import examples
 
 from cnc_interp.core import MM, FloatArray, MachineError, StreamError
 from cnc_interp.core.axis_limits import LimitsByPlace
-from cnc_interp.core.limit_table import largest_between, limits_along
+from cnc_interp.core.limit_kernels import largest_between, limits_along
 from cnc_interp.feedrate.planner_tuning import PlanOptions
 from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.feedrate.stop_law import stop_law

@@ -37,7 +37,10 @@ class Mover(ArcTargets):
     held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...], int] | None = None
 
     def move(self, words: BlockWords, feed_given: bool, machine: bool = False) -> None:
-        """Move to the axis words of a block and consume them; ``machine``: with G53 or SUPA."""
+        """Move to the axis words of a block and consume them.
+
+        ``machine``: whether they are machine coordinates (G53, G153, SUPA).
+        """
         arc_words = self._take_arc(words)
         named = self._has_axes(words)
         if not named and arc_words is None and self._take_vector(words) is None:

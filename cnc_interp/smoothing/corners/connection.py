@@ -174,7 +174,8 @@ def matching_slopes(
 
     D = C_top(f(u)) - C_bottom(u) shall be rho o(u) in each order [B2013, B.3-B.5]. The highest
     derivative of f acts along C_top' only. So it follows from the component e of C_top' at right
-    angles to o; rho follows from the component along o. Of all f, this one leaves the least jump.
+    angles to o; rho follows from the component along o. No other f leaves a
+    smaller jump of the tool axis's derivatives.
     """
     b, c, o = bottom, top, turning
     e = c[0] - dot(c[0], axis)[:, None] * axis

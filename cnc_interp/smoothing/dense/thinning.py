@@ -78,7 +78,9 @@ def _distance(points: FloatArray, a: int, b: int) -> float:
 def select_vertices(
     tip: FloatArray, top: FloatArray, tolerance: FloatArray, must: BoolArray
 ) -> tuple[IntArray, FloatArray]:
-    """Select vertices of the skeleton among rows; row 0 is the last one kept, ``must`` are kept.
+    """Select the rows that become vertices of the skeleton.
+
+    Row 0 was kept before; rows in ``must`` are always kept.
 
     Returns the rows kept after it, as far as they can be decided, and (m, 2) the largest distances
     of dropped rows from the chord that ends at each of them [m].

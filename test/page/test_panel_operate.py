@@ -294,7 +294,7 @@ def test_what_delays_or_ends_the_motion_of_a_held_key_is_told(panel, pad):
 
 
 #: The keys that open a dialog; one for each dialog that the page has.
-DIALOGS = ('keyboard', 'settings', 'offsets', 'history messages', 'programs', 'edit')
+DIALOGS = 'keyboard', 'settings', 'offsets', 'history messages', 'programs', 'edit', 'times'
 OPEN = '[...document.querySelectorAll(".q-dialog__inner > *")].some(d => d.checkVisibility())'
 
 

@@ -356,21 +356,21 @@ def lose(bench, node):
     """Kill a node, start it again, wait until its run is known to be lost.
 
     If program_node had not heard yet that the node had the run, the next process takes the run as
-    the first one would have done, and nobody is told.
+    the first one would have done, whichever attempt it is, and nobody is told.
     """
     stream = next(stream for stream, receiver in RECEIVERS.items() if receiver == node)
-    run = RunId(bench.loaded[-1].program_id)
     bench.diagnostics.clear()
     bench.kill(node)
     bench.peers._status.pop(stream, None)
     assert list(bench.children.revive()) == [node]
     bench.watching = True
-    bench.spin_until(
-        lambda: (
-            bench.peers.knows(stream, run)
-            or any('was restarted' in text for _, text in bench.diagnostics)
-        )
-    )
+
+    def is_known():
+        status = bench.peers._status.get(stream)
+        took = status is not None and status.program_id == bench.loaded[-1].program_id
+        return took or any('was restarted' in text for _, text in bench.diagnostics)
+
+    bench.spin_until(is_known)
     bench.diagnostics.clear()
 
 

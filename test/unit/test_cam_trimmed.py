@@ -89,7 +89,7 @@ def test_passes_end_before_a_wall():
     surface = Plane((0.03, 0.02))
     both = wall(15 * MM)
     paths = iso_scallop_paths(surface, MILL, Y, IsoScallopOptions(stepover=2.5 * MM))
-    free = [SplinePass.of(p, 0.5 * MM, None, both) for p in paths.passes]
+    free = [SplinePass.of(p, 0.5 * MM, both) for p in paths.passes]
     through = [SplinePass.of(p, 0.5 * MM) for p in paths.passes]
     y, z = np.meshgrid(np.linspace(-9, 9, 91) * MM, np.linspace(0.1, 9, 46) * MM, indexing='ij')
     base = np.stack([np.full(y.shape, 15 * MM), y, z], axis=-1)

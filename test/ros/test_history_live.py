@@ -9,6 +9,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from operated import PROGRAM
+from std_msgs.msg import Float64
 
 from cnc_interp.run.run_history import RunHistory
 
@@ -32,10 +33,14 @@ def until(bench, state):
 
 def test_a_run_that_was_held_and_one_that_was_stopped_are_rows(bench):
     goal = {'text': PROGRAM, 'program': 'held.ngc', 'operator_name': 'Ada'}
+    # Slowly, so that it does not end before a busy computer presses the key.
+    bench.override.publish(Float64(data=0.1))
+    bench.spin_until(lambda: bench.peers.state.feed_override == 0.1)
     handle = bench.start(**goal, predicted_time=12.5)
     bench.spin_until(lambda: bench.peers.state.path_position > 0.01)
     bench.press('feed_hold')
     until(bench, MachineState.HELD)
+    bench.override.publish(Float64(data=1.0))
     bench.spin_for(0.5)
     bench.press('cycle_start')
     result = bench.result_of(handle)

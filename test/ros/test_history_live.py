@@ -27,17 +27,27 @@ def rows_of(name):
     return found[::-1]
 
 
+def start_moving(bench, **goal):
+    bench.loaded.clear()
+    handle = bench.start(text=PROGRAM, **goal)
+
+    def moves():
+        state, loaded = bench.peers.state, bench.loaded
+        return loaded and state.program_id == loaded[-1].program_id and state.path_position > 0.01
+
+    bench.spin_until(moves)
+    return handle
+
+
 def until(bench, state):
     bench.spin_until(lambda: bench.peers.state.state == state)
 
 
 def test_a_run_that_was_held_and_one_that_was_stopped_are_rows(bench):
-    goal = {'text': PROGRAM, 'program': 'held.ngc', 'operator_name': 'Ada'}
     # Slowly, so that it does not end before a busy computer presses the key.
     bench.override.publish(Float64(data=0.1))
     bench.spin_until(lambda: bench.peers.state.feed_override == 0.1)
-    handle = bench.start(**goal, predicted_time=12.5)
-    bench.spin_until(lambda: bench.peers.state.path_position > 0.01)
+    handle = start_moving(bench, program='held.ngc', operator_name='Ada', predicted_time=12.5)
     bench.press('feed_hold')
     until(bench, MachineState.HELD)
     bench.override.publish(Float64(data=1.0))
@@ -56,8 +66,7 @@ def test_a_run_that_was_held_and_one_that_was_stopped_are_rows(bench):
     # The machine moves or is held; planning before the first motion comes in addition.
     assert float(row['actual_s']) > motion + 0.5
 
-    handle = bench.start(text=PROGRAM, program='stopped.ngc')
-    bench.spin_until(lambda: bench.peers.state.path_position > 0.01)
+    handle = start_moving(bench, program='stopped.ngc')
     bench.press('emergency_stop')
     assert bench.result_of(handle).code == Result.STOPPED
     (row,) = rows_of('stopped.ngc')

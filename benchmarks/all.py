@@ -43,7 +43,7 @@ ALL = (
     Benchmark('nasty_programs', 'how_it_works/corner_rounding.md', '', '--count 4'),
     Benchmark('pole_programs', 'measured/README.md', '--count 200', '--count 2 --machines xyzac'),
     Benchmark('rotary_words', 'measured/README.md', '--count 100', '--count 2 --machines xyzac'),
-    Benchmark('tilted_planes', 'how_it_works/tilted_planes.md', '', ''),
+    Benchmark('tilted_planes', 'how_it_works/tilted_planes.md'),
     Benchmark('compensated_paths', 'operate/programs.md', '', '--count 3'),
     Benchmark('collision', 'measured/README.md', '--scenes 1000', '--scenes 3'),
     Benchmark('arms', 'how_it_works/arms.md', ''),

@@ -22,7 +22,7 @@ RESERVE = 0.25  #: New points must be sent this share of the delay before they a
 LATEST = 1.0  #: Age up to which reports are compared with the commands of their time [s].
 #: Largest silence counted per call, because this program may have stalled [s].
 SILENCE_OF_A_CALL = 0.05
-SLOWER = 2e-3  #: A robot slower than its trajectories by this share is told to stop [-].
+SLOWER = 2e-3  #: A robot that is slower than commanded by this share stops [-].
 POWER_UP, SETTLING = 5.0, 0.1  #: Longest waits for the controller, and for its axes to settle [s].
 
 

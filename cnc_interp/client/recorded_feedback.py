@@ -32,11 +32,13 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
 
     Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
     """
-    chunks = bag.read('executed_setpoints')
+    # Without positions, it only switches something.
+    chunks = [m for m in bag.messages('executed_setpoints') if m.positions]
     if not chunks:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
     name = run_id_of(chunks[-1]).program_id
-    actual = {m.first_sample: m for m in bag.messages('axis_feedback') if m.program_id == name}
+    mine = (m for m in bag.messages('axis_feedback') if m.program_id == name and m.positions)
+    actual = {m.first_sample: m for m in mine}
     chunks = sorted((m for m in chunks if m.program_id == name), key=lambda m: m.first_sample)
     parts, following = [], chunks[0].first_sample
     for chunk in chunks:

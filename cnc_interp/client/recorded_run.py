@@ -91,8 +91,8 @@ class RecordedRun:
                 end = f'lacks executed setpoints {following} to {chunk.first_sample - 1}'
                 return order, f'the record {end}, after line {last.line_numbers[-1]}'
             following = chunk.first_sample + len(chunk.sequences)
-            last = chunk if len(chunk.sequences) else last  # or it only switches something
-            ended = chunk.end_of_program
+            if len(chunk.sequences):  # else it only switches something
+                last, ended = chunk, chunk.end_of_program
             order.append(int(k))
         end = 'in motion' if any(last.velocities[-last.axis_count :]) else 'at rest'
         line = f'the record ends {end}, in line {last.line_numbers[-1]}'

@@ -138,10 +138,8 @@ class RunConsole:
     def _as_told(
         self, program: str, outcome: RunProgram.Result, machine: Machine, started: float
     ) -> RunResult:
-        names, state = machine.axis_names, self._client.state
-
         def by_axis(values: Any) -> Any:
-            return dict(zip(names, values, strict=False))
+            return dict(zip(machine.axis_names, values, strict=False))
 
         return RunResult(
             ok=outcome.code == Result.SUCCEEDED and outcome.blocks_executed == outcome.blocks_sent,
@@ -151,7 +149,7 @@ class RunConsole:
             axis_units={axis.name: axis.unit for axis in machine.axes},
             **{name: getattr(outcome, name) for name in AS_TOLD},
             **{name: by_axis(getattr(outcome, name)) for name in BY_AXIS},
-            position=by_axis(state.positions if state is not None else ()),
+            position=by_axis(outcome.positions),
             notices=(*outcome.notices, *filter(None, [machine.guessed])),
             faults=tuple(self._children.faults.values()),
             scene=str(self._request.settings.scene or ''),

@@ -32,6 +32,7 @@ def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) 
         result.blocks_executed += state.sequence
         result.samples += count
         result.starvations += state.starvations
+    result.positions = states[-1].commanded_positions
     result.least_buffered_time = min(state.least_buffered_time for state in states)
     result.contour_error = max(state.largest_contour_error for state in states)
     for told, name in (

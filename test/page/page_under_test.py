@@ -24,7 +24,7 @@ from cnc_interp.program import JobSetup
 
 TOKEN = 'every test knows it'
 #: True while the page says that a key did nothing because the connection was interrupted.
-REFUSED = f'document.body.textContent.includes("{INTERRUPTED}")'
+REFUSED = f'!!document.body?.textContent.includes("{INTERRUPTED}")'
 
 #: What draws machine, path and part.
 VIEW = 'document.querySelector(".scene canvas")'

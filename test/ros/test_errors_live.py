@@ -32,6 +32,7 @@ G38.2 Z-20 F30
 (debug, top at #5063)
 G0 Z15
 G1 X-20 Y20 F3000
+G4 P0.3 (the drives settle)
 M2
 """
 
@@ -54,7 +55,7 @@ def test_a_probed_program_is_compensated_and_proven(tmp_path, capsys):
     assert done.returncode == 0, done.stderr[-2000:]
     told = json.loads(done.stdout)
     assert list(told['position'].values()) == pytest.approx(
-        program_end(Machine.load(file)), abs=1e-6
+        program_end(Machine.load(file)), abs=1e-9
     )
     (top,) = (float(n.partition('top at')[2]) for n in told['notices'] if 'top at' in n)
     assert top == pytest.approx(-3.0, abs=2e-3)

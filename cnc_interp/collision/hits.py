@@ -19,7 +19,7 @@ from cnc_interp.collision.enclosure import position
 from cnc_interp.collision.gjk import nearest
 from cnc_interp.collision.link_poses import placed, pose_links
 from cnc_interp.collision.shapes import Pieces
-from cnc_interp.core import MM, BlockError, FloatArray, IntArray
+from cnc_interp.core import MM, BlockError, FloatArray, IntArray, norm
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine, place_text
 
@@ -176,24 +176,36 @@ def bodies_apart(space: Space, roots: IntArray, pose: FloatArray) -> float:
 
 @njit(cache=True, nogil=True)
 def nearest_along(
-    space: Space, route: Route, cells: IntArray, roots: IntArray, best: float
+    space: Space,
+    route: Route,
+    cells: tuple[int, int],
+    moved: FloatArray,
+    roots: IntArray,
+    best: float,
 ) -> tuple[float, int, int]:
     """Return the least distance at the begins of cells, or ``best`` if that is smaller [m].
 
-    Also return the row of ``roots`` and the cell where it occurs; -1 and -1 if none is nearer.
-    The last normal of a pair usually shows that it is still farther apart than ``best``.
+    Also return the row of ``roots`` and the cell where it occurs; -1 and -1 if none is nearer. A
+    pair is not measured again before it could have come nearer than ``best``; ``moved`` is the
+    largest motion up to each cell [m].
     """
     pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
     q, out, pieces = np.empty(route.bezier.shape[1]), np.empty(9), space.pieces
-    normal = np.zeros((len(roots), 3))
-    found, where = -1, -1
-    for cell in cells:
+    normal, clear = np.zeros((len(roots), 3)), np.full(len(roots), -1.0)
+    found, where, soonest = -1, -1, -1.0
+    for cell in range(cells[0], cells[1]):
+        if moved[cell] < soonest:
+            continue
         pose_at(space, route, route.s[cell], q, pose)
         for row in range(len(roots)):
-            waiting = [(roots[row, 0], roots[row, 1])]
+            if moved[cell] < clear[row]:
+                continue
+            waiting, least = [(roots[row, 0], roots[row, 1])], np.inf
             while waiting:
                 a, b = waiting.pop()
-                if _balls_apart(pieces, a, b, pose) >= best:
+                apart = _balls_apart(pieces, a, b, pose)
+                if apart >= best:
+                    least = min(least, apart)
                     continue
                 divided = larger_to_divide(pieces, a, b)
                 if divided >= 0:
@@ -202,13 +214,36 @@ def nearest_along(
                     continue
                 relative_pose(pose[pieces.link[b]], pose[pieces.link[a]], rel)
                 n = normal[row, 0], normal[row, 1], normal[row, 2]
-                if n != (0.0, 0.0, 0.0) and _along(space, a, b, rel, n) >= best:
-                    continue
-                distance = nearest(pieces, a, b, rel, out)
-                normal[row] = out[:3]
-                if distance < best:
-                    best, found, where = distance, row, cell
+                if n != (0.0, 0.0, 0.0):
+                    apart = _along(space, a, b, rel, n)
+                if apart < best:
+                    apart = nearest(pieces, a, b, rel, out)
+                    normal[row] = out[:3]
+                    if apart < best:
+                        best, found, where = apart, row, cell
+                least = min(least, apart)
+            clear[row] = moved[cell] + least - best
+        soonest = clear.min()
     return best, found, where
+
+
+def largest_motion(space: Space, route: Route) -> FloatArray:
+    """Return how far two points of the machine may have moved, up to each cell, (N - 1,) [m].
+
+    A rotary joint moves the points beyond it by at most its angle times their reach from its link.
+    """
+    chain, pieces = space.chain, space.pieces
+    way, most = np.zeros(route.bezier.shape[1]), np.abs(route.bezier).max(axis=(0, 2))
+    reach = np.zeros(len(chain.parent))
+    np.maximum.at(reach, pieces.link, norm(pieces.ball[:, :3]) + pieces.ball[:, 3])
+    for link in range(len(reach) - 1, 0, -1):
+        axis, is_linear, parent = chain.axis[link], chain.linear[link], chain.parent[link]
+        if axis >= 0:
+            way[axis] += 1.0 if is_linear else reach[link]
+        beyond = reach[link] + norm(chain.origin[link]) + (most[axis] if is_linear else 0.0)
+        reach[parent] = max(reach[parent], beyond)
+    steps = np.abs(np.diff(route.bezier[:, :, 0], axis=0)) @ way
+    return np.append(0.0, np.cumsum(steps))
 
 
 @njit(cache=True, nogil=True)

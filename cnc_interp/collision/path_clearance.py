@@ -15,6 +15,7 @@ from cnc_interp.collision.hits import (
     CollisionError,
     Hit,
     bodies_apart,
+    largest_motion,
     least_apart,
     nearest_along,
     positions_at,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from cnc_interp.collision.follow import Contact, CutStock, Spans
 
 LEAVES = 1e-7  #: A motion by hand may start too near if it gains more distance than this [m].
-EVERY = 4  #: The least distance is measured at the begin of every so many cells.
 MOST_HITS = 1 << 16  #: Largest number of hits listed for one part of the path.
 #: Outputs that M6 sets to the number of the tool: with a tool changer, and by hand.
 TOOL_OUTPUTS = ('tool_number', TOOL)
@@ -148,7 +148,7 @@ class PathClearance:
             if found := self._descend(route, (first, last), solid, self._most, parts):
                 hits += self._hits(route, lines, found)
                 if self._most == MOST_HITS:
-                    self._measure(route, lines, np.arange(first, last, EVERY), solid)
+                    self._measure(route, lines, (first, last), solid)
             cut = [pair for pair in pairs if self._cut(pair)]
             if found := self._descend(route, (first, last), cut, MOST_HITS, parts):
                 bodies = self.placed.pieces.body[found.hit_pair[:, 0]].tolist()
@@ -167,7 +167,7 @@ class PathClearance:
         self,
         route: Route,
         lines: IntArray,
-        cells: IntArray,
+        cells: tuple[int, int],
         pairs: list[tuple[int, int]],
     ) -> None:
         """Record the least distance between bodies on the tool's side and on the other side.
@@ -182,7 +182,8 @@ class PathClearance:
         )
         before = self.figures.nearest
         best = np.inf if before is None else before.distance
-        distance, row, cell = nearest_along(self._space, route, cells, roots, best)
+        moved = largest_motion(self._space, route)
+        distance, row, cell = nearest_along(self._space, route, cells, moved, roots, best)
         if row >= 0:
             a, b = (self.scene.bodies[self.placed.pieces.body[piece]].name for piece in roots[row])
             self.figures.nearest = Nearest(float(distance), (a, b), int(lines[cell]))
@@ -201,7 +202,8 @@ class PathClearance:
             self._tools = kept
 
     def _route(self, path: AxisPath, line_of: Callable[[int], int]) -> tuple[IntArray, Route]:
-        lines = np.array([line_of(int(row)) for row in path.cell_block])
+        rows, at = np.unique(path.cell_block, return_inverse=True)
+        lines = np.array([line_of(row) for row in rows.tolist()])[at]
         ends = np.append(np.flatnonzero(np.diff(lines)), len(lines) - 1)
         line_end = path.s[1 + ends[np.searchsorted(ends, np.arange(len(lines)))]]
         return lines, Route(path.s, bezier_table(path), line_end)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cnc_interp.collision import shapes
 from cnc_interp.collision.mesh_file import SceneError, triangles_of
@@ -17,7 +16,7 @@ from cnc_interp.collision.scene import Body, Role, Scene
 from cnc_interp.collision.shapes import Piece
 from cnc_interp.core import MM, FloatArray
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml
-from cnc_interp.machine_model.joint import TOOL_TIP
+from cnc_interp.machine_model.joint import TOOL_TIP, rotation
 from cnc_interp.program.job import JobSetup, Tool
 
 UNITS = {'mm': MM, 'm': 1.0, 'inch': 25.4 * MM}
@@ -368,19 +367,18 @@ class _Reading:
         if not isinstance(angles, list) or len(angles) != 3:
             raise self.fault(name, 'turn_deg must be three angles about X, Y and Z')
         turns = [self._number(angle, f'{name}.turn_deg') for angle in angles]
-        rotation = Rotation.from_euler('xyz', turns, degrees=True).as_matrix()
         shift = self._rows([given.get('at_mm', [0.0, 0.0, 0.0])], 3, f'{name}.at_mm')[0]
-        return rotation if any(turns) else np.eye(3), shift
+        return rotation(*np.radians(turns)), shift
 
     def _placed(self, points: FloatArray, given: dict[str, Any], name: str) -> FloatArray:
-        rotation, shift = self._turn(given, name)
-        return points @ rotation.T + shift
+        turn, shift = self._turn(given, name)
+        return points @ turn.T + shift
 
     def _moved(self, piece: Piece, given: dict[str, Any], name: str) -> Piece:
-        rotation, _ = self._turn(given, name)
+        turn, _ = self._turn(given, name)
         discs = piece.discs.copy()
         discs[:, :3] = self._placed(discs[:, :3], given, name)
-        return Piece(discs, rotation @ piece.along, piece.round)
+        return Piece(discs, turn @ piece.along, piece.round)
 
     def tool(self, number: int, given: dict[str, Any]) -> list[Body]:
         """Return cutter, shank and holder; heights are measured from the tip along the tool."""

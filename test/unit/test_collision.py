@@ -22,7 +22,7 @@ from cnc_interp.collision import clearance, gjk, shapes
 from cnc_interp.collision.clearance import descend
 from cnc_interp.collision.enclosure import enclose
 from cnc_interp.collision.gjk import nearest
-from cnc_interp.collision.hits import least_apart
+from cnc_interp.collision.hits import largest_motion, least_apart, nearest_along
 from cnc_interp.collision.link_poses import chain_of, pose_links
 from cnc_interp.collision.pieces import triangle_tree, winding
 from cnc_interp.kinematics.axis_path import evaluate
@@ -158,6 +158,18 @@ def test_nothing_is_missed_and_nothing_is_false_near_the_clearance():
                 q = evaluate(path, found.hit[:1, 0])[0][0]
                 assert distance(machine, pieces, links, q) <= least + off + 1.1e-6
     assert judged >= examples(12, 400)
+
+
+def test_the_least_distance_of_all_cells_is_found():
+    for seed in range(examples(8, 200)):
+        machine, pieces, links, path = case(seed)
+        space, route = space_of(machine, list(pieces), links, 0.0), route_of(path)
+        cells, moved_so_far = (0, len(path.s) - 1), largest_motion(space, route)
+        found = nearest_along(space, route, cells, moved_so_far, np.array([[0, 1]]), np.inf)
+        some = np.append(np.arange(0, cells[1], 1 + cells[1] // 60), found[2])
+        each = [distance(machine, pieces, links, q) for q in evaluate(path, path.s[some])[0]]
+        assert each[-1] == pytest.approx(found[0], abs=1e-7)
+        assert min(each) > found[0] - 1e-7
 
 
 def test_certificates_and_hits_leave_no_gap():

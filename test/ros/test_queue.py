@@ -22,12 +22,21 @@ FIRST, SECOND = waves(3), waves(2)
 
 def send(bench, text=None, **goal):
     """Send a goal; returns its handle, and what it is told while it waits."""
-    told = []
-    accepted = bench.action.send_goal_async(
-        RunProgram.Goal(text=text or '', **goal), lambda m: told.append(m.feedback)
-    )
-    bench.spin_until(accepted.done)
-    return accepted.result(), told
+    (sent,) = send_together(bench, {'text': text or '', **goal})
+    return sent
+
+
+def send_together(bench, *goals):
+    """Send goals before the first is accepted; returns handle and feedback of each."""
+    told = [[] for _ in goals]
+    accepted = [
+        bench.action.send_goal_async(
+            RunProgram.Goal(**goal), lambda m, heard=heard: heard.append(m.feedback)
+        )
+        for goal, heard in zip(goals, told, strict=True)
+    ]
+    bench.spin_until(lambda: all(each.done() for each in accepted))
+    return [(each.result(), heard) for each, heard in zip(accepted, told, strict=True)]
 
 
 def setpoints_of(bench, result):
@@ -88,7 +97,8 @@ def test_a_program_cancelled_while_it_waits_leaves_the_queue_and_the_others_move
 @pytest.mark.thorough
 def test_a_wrong_program_is_refused_while_it_waits_and_those_after_it_are_not_started(bench):
     ended = send(bench, waves(6))[0].get_result_async()
-    wrong, following = send(bench, 'G21 G90 G94\nG1 X1 F0\n')[0], send(bench, SECOND)[0]
+    texts = waves(400).replace('M30', 'G1 X1 F0\nM30'), SECOND
+    (wrong, _), (following, _) = send_together(bench, *({'text': text} for text in texts))
     assert bench.result_of(wrong).code == Result.BAD_PROGRAM
     result = bench.result_of(following)
     assert result.code == Result.NOT_STARTED and 'did not reach its end' in result.message

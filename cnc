@@ -122,7 +122,10 @@ main() {
       lint
       ;;
     docs)
-      ensure "${parts[@]}" test docs
+      venv=$root/.venv-docs # mkdocs reads the sources, so it needs no ROS and no kernels
+      # shellcheck source=tools/environment.sh
+      . "$root/tools/environment.sh"
+      make_docs_environment
       cd "$root"
       exec "$venv/bin/mkdocs" build --quiet
       ;;

@@ -47,8 +47,8 @@ APART = 0.3  #: Time between the losses of two nodes [s].
 LONGEST = 60.0  #: A goal without a result never ends [s].
 INTRODUCTION = (
     'Nodes and pairs killed, frozen for 4 s or restarted (`benchmarks/losses.py`). Each goal '
-    'ended, the next program ran, all setpoints kept path and limits. "Ended": machine or '
-    'program lost, as was told. Times: the longest.'
+    'ended, the next program ran, all setpoints kept path and limits. "Ended": the '
+    'machine or program node was lost, which the run reported. Times: the longest.'
 )
 BUSY = 'losses_busy'  #: The figures beside busy loops.
 WHY = ('cycle start', 'restarted', 'lost', 'reset')  #: A text with one says what to press.

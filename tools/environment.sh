@@ -31,6 +31,24 @@ make_environment() {
   exec 9<&-
 }
 
+# Makes the small environment of ./cnc docs, if it is missing or its list has changed.
+make_docs_environment() {
+  local python wanted
+  wanted=$(fingerprints docs)
+  [ "$(cat "$venv/.ready" 2>/dev/null)" != "$wanted" ] || return 0
+  rm -rf "$venv"
+  mkdir "$venv" || fail "cannot write to $root; use a checkout of your own"
+  python=$(find_python)
+  if [ -z "$python" ] || ! "$python" -c 'import ensurepip' 2>/dev/null; then
+    install_system_packages
+    python=$(find_python --complete)
+  fi
+  step 'setting up .venv-docs, once: 53 MB'
+  logged "$python" -m venv "$venv" || explain 'making the virtual environment failed'
+  logged "${pip_install[@]}" -r "$root/requirements/docs.txt" || explain 'installing mkdocs failed'
+  printf '%s\n' "$wanted" >"$venv/.ready"
+}
+
 remake_environment() {
   say 'the environment is broken and is made anew'
   rm -f "$stamp"

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/promises.md: what README and docs promise, beside the tests that hold it."""
+"""Compare test/promises.yaml with the pages that promise and the tests that hold it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,6 @@ from typing import Any
 import yaml
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / 'docs' / 'promises.md'
-HEAD = """# What holds the promises
-
-`tools/promises.py` makes this page of `test/promises.yaml`. Each promise stands on the page
-linked. Tests in italics are thorough: CI runs them by turns. All others run with
-every change.
-"""
 
 
 def promises() -> list[dict[str, Any]]:
@@ -67,32 +60,7 @@ def faults() -> list[str]:
     return found
 
 
-def shown(test: str) -> str:
-    """Return a link to a test; in italics where it runs by turns only."""
-    file, _, name = test.partition('::')
-    found = tiers(file)
-    by_turns = found[name] if name else all(found.values())
-    link = f'[{name or file.rpartition("/")[2]}](../test/{file})'
-    return f'*{link}*' if by_turns else link
-
-
-def page() -> str:
-    """Return the text of the page."""
-    lines = [HEAD]
-    for name in dict.fromkeys(row['page'] for row in promises()):
-        link = name.removeprefix('docs/') if name != 'README.md' else '../README.md'
-        lines += [f'In [{name}]({link}):', '']
-        lines += [
-            f'- {row["means"]} {", ".join(map(shown, row["tests"]))}'
-            for row in promises()
-            if row['page'] == name
-        ]
-        lines.append('')
-    return '\n'.join(lines)
-
-
 if __name__ == '__main__':
     wrong = faults()
     if wrong:
         raise SystemExit('\n'.join(wrong))
-    PAGE.write_text(page())

@@ -1,4 +1,4 @@
-"""The page of promises: each stands where it says, is held by tests, and the page is current."""
+"""The table of promises: each is on its page and is held by tests."""
 
 import importlib.util
 from pathlib import Path
@@ -25,8 +25,3 @@ def test_each_promise_has_a_test_that_runs_with_every_change():
         )
     ]
     assert not by_turns, by_turns
-
-
-def test_the_page_is_current():
-    told = 'run tools/promises.py'
-    assert promises.PAGE.read_text() == promises.page(), told

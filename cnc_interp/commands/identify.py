@@ -73,7 +73,7 @@ def identify_command(options: Namespace) -> int:
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_feedback import recorded_feedback
     from cnc_interp.drives.identification import identify_axis, with_drives
-    from cnc_interp.machine_model.machine import find_machine_file
+    from cnc_interp.machine_model.machine import whole_text
     from cnc_interp.report.identified import identified_lines, write_identified
 
     with Bag(options.bag) as bag:
@@ -92,7 +92,7 @@ def identify_command(options: Namespace) -> int:
     for line in identified_lines(machine, found):
         print(line)
     text = with_drives(
-        find_machine_file(name).read_text(encoding='utf-8'),
+        whole_text(name),
         machine,
         {**machine.drives, **{axis: each.drive for axis, each in found.items()}},
         {**machine.limits.loads, **{axis: each.load for axis, each in found.items() if each.load}},

@@ -40,12 +40,12 @@ OF_AXES = {
 }
 #: The same of other sections.
 ELSEWHERE = {
-    ('EMCIO', 'TOOL_CHANGE_POSITION'): 'move there in the program, or in a macro before M6',
+    ('EMCIO', 'TOOL_CHANGE_POSITION'): 'enter it as G30, and write tool_change_macro: tool_change',
     ('EMCIO', 'TOOL_CHANGE_QUILL_UP'): 'move Z up in the program, or in a macro before M6',
     ('EMCIO', 'TOOL_CHANGE_AT_G30'): 'write G30 before M6',
     ('EMCIO', 'TOOL_CHANGE_WITH_SPINDLE_ON'): 'M6 stops the spindle (signals)',
     ('EMCIO', 'RANDOM_TOOLCHANGER'): 'tools have fixed pockets',
-    ('RS274NGC', 'REMAP'): 'words are not remapped; write functions of signals',
+    ('RS274NGC', 'REMAP'): 'of M6 write tool_change_macro, of others functions of signals',
     ('RS274NGC', 'RS274NGC_STARTUP_CODE'): 'write its words into the program',
     ('RS274NGC', 'USER_M_PATH'): 'M100 to M199 call no programs; write functions of signals',
     ('TRAJ', 'MAX_LINEAR_ACCELERATION'): 'the limits are those of the axes',

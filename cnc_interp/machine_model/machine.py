@@ -121,6 +121,7 @@ class Machine:
     #: Choices of the program reader for its control, by name.
     control: dict[str, Any] = field(default_factory=dict)
     macros: tuple[Macro, ...] = ()  #: Lines of G-code for keys of the page.
+    tool_change_macro: str = ''  #: Text of the subprogram that M6 calls; empty if there is none.
     #: Its outputs and inputs, and the functions of a program that switch them.
     signals: Signals = field(default_factory=Signals)
     #: Errors of X Y Z, which the commanded axes compensate.
@@ -319,6 +320,7 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
     errors = mistakes.read(entries.following_errors, content, names, linear)
     ends = np.array([of.travel for of in found[:3]])
     of_geometry = mistakes.read(geometric_errors, content, ends, folder)
+    macro = mistakes.read(entries.tool_change_macro, content, folder)
     pace = mistakes.read(entries.block_pace, content, min(axis.max_jerk for axis in found[:3]))
     mistakes.report()
     drives = mistakes.read(axis_drives, content, names, linear, loads)
@@ -337,6 +339,7 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
         pace=pace,
         errors=of_geometry,
         signals=machine_signals,
+        tool_change_macro=macro,
         **chosen,
         **geometry,
     )
@@ -418,13 +421,15 @@ def content_of(name: str | Path) -> dict[str, Any]:
         return without_files(content, file.parent)
     if isinstance(errors := content.get('errors'), dict):
         content['errors'] = {k: table_of(of, k, file.parent) for k, of in errors.items()}
+    if macro := entries.tool_change_macro(content, file.parent):
+        content[entries.TOOL_CHANGE] = macro
     return content
 
 
 def whole_text(name: str) -> str:
     """Return the text of a machine file, with the content of the files that it names."""
     found = find_machine_file(name)
-    if not {'urdf', 'errors'} & set(read_yaml(found)):
+    if not {'urdf', 'errors', entries.TOOL_CHANGE} & set(read_yaml(found)):
         return found.read_text(encoding='utf-8')
     return str(yaml.safe_dump(content_of(name), sort_keys=False))
 

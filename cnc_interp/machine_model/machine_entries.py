@@ -3,13 +3,20 @@
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray, MachineError
 from cnc_interp.core.axis_limits import AxisLimits, LimitsByPlace
-from cnc_interp.core.small_files import is_number
+from cnc_interp.core.small_files import (
+    LONGEST_YAML,
+    UnreadableError,
+    config_directory,
+    is_number,
+    small_text,
+)
 from cnc_interp.machine_model.demands import Mistakes, demand
 from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
@@ -153,6 +160,7 @@ class Macro:
 #: Lines that move nothing: M codes except M6 and calls, S and T, and dwells.
 _STILL = re.compile(r'(?:\s*(?:M(?!0*6\b|98\b|198\b)\d+|[ST]\d+(?:\.\d+)?|G0?4\s*[PX][\d.]+))+\s*')
 MOST_MACROS, LONGEST_MACRO = 24, 40
+TOOL_CHANGE = 'tool_change_macro'  #: Key of the subprogram that M6 calls.
 
 
 def macros(content: dict[str, Any]) -> tuple[Macro, ...]:
@@ -178,6 +186,22 @@ def macros(content: dict[str, Any]) -> tuple[Macro, ...]:
         )
         found.append(Macro(str(name), tuple(line.strip() for line in lines)))
     return tuple(found)
+
+
+def tool_change_macro(content: dict[str, Any], folder: Path) -> str:
+    """Return the text of the subprogram that M6 calls: it is named or given; '' without one."""
+    given = content.get(TOOL_CHANGE, '')
+    demand(isinstance(given, str), 'must be the name of a subprogram, or its lines', TOOL_CHANGE)
+    if not given or '\n' in given:
+        return str(given)
+    name = given if given.endswith('.ngc') else f'{given}.ngc'
+    folders = folder, config_directory() / 'subprograms'
+    file = next((each / name for each in folders if (each / name).is_file()), folder / name)
+    try:
+        return small_text(file, LONGEST_YAML)
+    except (OSError, UnreadableError) as problem:
+        told = getattr(problem, 'strerror', None) or problem
+        raise MachineError(f'{file} cannot be read: {told}', TOOL_CHANGE) from None
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:

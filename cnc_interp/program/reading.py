@@ -74,6 +74,8 @@ class ProgramStream:
             self.read_as = (f'read as {profile.title}: {why}',)
             at = Execution(geometry, settings, setup, source, self._notices, profile)
             self._reader = kind(at)
+            if kind is HeidenhainReader:
+                self._reader.of_macro = GcodeReader(at)
 
     def __iter__(self) -> Iterator[Blocks]:
         try:

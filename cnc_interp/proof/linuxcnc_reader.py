@@ -44,6 +44,14 @@ _CALL = re.compile(r'^\s*\d+\s+N(?:\.+|\d+)\s*([A-Z]\w*)\((.*)\)\s*$')
 #: The text begins after a percent sign, which must remain the first line. G98 is inserted there.
 _FIRST = re.compile(r'\A(\s*%[^\n]*\n)?')
 _NUMBER = re.compile(r'-?\d+\.?\d*')
+#: A tool change in its line, and the label of a subprogram.
+_CHANGE = re.compile(
+    r'^(.*?)(?<![A-Z<_])M[ \t]*0*6(?![\d.])[ \t]*(T[ \t]*[\d#\[\]]+)?(.*)$',
+    re.MULTILINE | re.IGNORECASE,
+)
+_INCHES = re.compile(r'G\s*20(?!\d)', re.IGNORECASE)
+_PLACE = re.compile(r'#\s*(5[123]\d[123])(?!\d)')  #: X, Y or Z of a place that is set.
+_LABEL = re.compile(r'O\s*(\d+|<[^<>]+>)\s*SUB', re.IGNORECASE)
 _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
 #: Words, outside comments, that cannot be compared, and why. Each pattern begins at its letter:
 #: one that begins at a line start would scan the rest of the text from every line.
@@ -163,9 +171,24 @@ def _prepared(text: str, skip: bool, setup: Setup) -> str:
     if '(' in text or ';' in text or ')' in text:
         raise LinuxCNCError("LinuxCNC's rs274 does not get a comment within a comment")
     text = _SWITCH.sub(lambda word: f'({word[1].upper()})', _LEFT_OUT.sub('', text))
-    taken = f'T{setup.tool} M6\n' if setup.tool else ''
-    stands = 'G53 G0 X{:.9f} Y{:.9f} Z{:.9f}\nG80'.format(*(setup.zero / MM))
-    return _FIRST.sub(rf'\1G98\n{stands}\n{taken}', f'{text}\nM2\n', count=1)
+    stands = 'G98\nG53 G0 X{:.9f} Y{:.9f} Z{:.9f}\nG80\n'.format(*(setup.zero / MM))
+    stands += f'T{setup.tool} M6\n' if setup.tool else ''
+    if setup.macro and _CHANGE.search(text):
+        macro = _COMMENT.sub(' ', setup.macro.replace('\r', ''))
+        if not _INCHES.search(macro):
+            macro = _PLACE.sub(lambda word: _in_mm(int(word[1]), setup), macro)
+        label = _LABEL.search(macro) or _LABEL.search('O<macro> SUB')
+        assert label is not None
+        if label[0] not in macro:
+            macro = f'{label[0]}\n{macro}\nO{label[1]} ENDSUB\n'
+        stands += macro + '\n'
+        calls = rf'\1\2\nO{label[1]} CALL\n\3'  # the tool of the line is selected before
+        text = _CHANGE.sub(calls, text)
+    return _FIRST.sub(lambda first: (first[1] or '') + stands, f'{text}\nM2\n', count=1)
+
+
+def _in_mm(parameter: int, setup: Setup) -> str:
+    return f'[{setup.parameters.get(parameter, 0.0) * INCH:.9f}]'
 
 
 def _moves(
@@ -343,6 +366,7 @@ class Setup:
     tool: int = 0  #: Tool in the spindle; 0 if it is empty.
     #: (3,): Machine coordinates of the workpiece zero, the origin of all motions [m].
     zero: FloatArray = field(default_factory=lambda: np.zeros(3))
+    macro: str = ''  #: Text of the subprogram that the machine calls at M6.
 
 
 def cutters_of(text: Any) -> dict[int, tuple[float, float, float]] | None:
@@ -394,6 +418,7 @@ def setup_of(text: Any, machine: Machine) -> Setup:
         lengths = {
             int(n): _worn(tool, 'length') * MM for n, tool in content.get('tools', {}).items()
         }
-        return Setup(parameters, lengths, int(content.get('tool', 0)), zero)
+        tool, macro = int(content.get('tool', 0)), machine.tool_change_macro
+        return Setup(parameters, lengths, tool, zero, macro)
     except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
         raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None

@@ -45,6 +45,7 @@ Read = ReadMove | ReadCall
 WAITS = {GO_ON: 'no program stop', STOP: 'M0', OPTIONAL_STOP: 'M1'}
 STOP_LAST = 1 + max(WAITS)
 #: Words of probing, and calls of subprograms that may contain them.
+_CHANGE = re.compile(r'(?<![A-Z<_])M\s*0*6(?!\d)|TOOL\s*CALL|LOADTL', re.IGNORECASE)
 _TOUCHES = re.compile(r'G\s*0?31|G\s*38\.[2-5]|MEAS|CALL|G\s*65|M\s*98|CYCLE9')
 UNKNOWN = (float('nan'), float('nan'))  #: Tolerances if the settings are unknown [m].
 # Cycles that LinuxCNC ends otherwise than other controls.
@@ -123,6 +124,8 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         tools = second.cutters_of(plan.summary.get('setup'))
         if tools is None:
             raise ProgramError('the reader of plain words knows no offsets and tool lengths')
+        if machine.tool_change_macro and _CHANGE.search(text):
+            raise ProgramError('the reader of plain words knows no subprogram of M6')
         plain = PlainSettings(
             float(feed) if isinstance(feed, int | float) else None,
             skip,

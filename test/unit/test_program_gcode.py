@@ -23,6 +23,7 @@ class ThreeAxes:
 
     axis_names, rotary_names = ('X', 'Y', 'Z'), ()
     extra_names, extra_direction, control, signals = (), (), {}, Signals()
+    tool_change_macro = ''
     is_linear = np.ones(3, dtype=bool)
 
     @property

@@ -19,6 +19,7 @@ class TableAC:
 
     axis_names, rotary_names = ('X', 'Y', 'Z', 'A', 'C'), ('A', 'C')
     extra_names, extra_direction, control, signals = (), (), {}, Signals()
+    tool_change_macro = ''
     is_linear = np.array([True, True, True, False, False])
     singular_cone = np.radians(0.02)
 

@@ -4,6 +4,7 @@ import re
 from difflib import get_close_matches
 
 from cnc_interp.core import DependsOn, ProgramError
+from cnc_interp.machine_model.machine_entries import TOOL_CHANGE
 from cnc_interp.program.execution.assignments import assign
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.dialect_words import (
@@ -33,6 +34,9 @@ from cnc_interp.program.text.words import BlockWords
 
 
 def execute(at: Execution, words: BlockWords) -> None:
+    if 'M6' in words.m and at.tool_change_macro and not at.flow.in_macro:
+        _change_by_macro(at, words)
+        return
     values, mover = words.values, at.mover
     words.take('NO')
     words.g += probing.measuring(words)
@@ -81,6 +85,24 @@ def execute(at: Execution, words: BlockWords) -> None:
     at.act(after)
     mover.stop_once = False
     _end_block(at, words, calling)
+
+
+def _change_by_macro(at: Execution, words: BlockWords) -> None:
+    """Select the tool and call the subprogram of M6; the other words are executed after it."""
+    words.m.remove('M6')
+    selects = BlockWords()
+    if 'T' in words.values:
+        selects.put('T', words.values.pop('T'), words.texts.pop('T'))
+        execute(at, selects)
+    if words.second_tool is not None:
+        words.put('T', words.second_tool)
+        words.second_tool = None
+    setup = at.mover.setup
+    for variable, name in codes.PLACES_OF_MACRO.items():
+        known = name in {**setup.reference_points, **setup.work_offsets}
+        at.demand(known or variable not in at.tool_change_macro, codes.NO_PLACE.format(name), 'M6')
+    state = at.mover.saved_values(), None
+    at.flow.call_macro(at.tool_change_macro, TOOL_CHANGE, words, state)
 
 
 def _unknown(at: Execution, key: str) -> ProgramError:

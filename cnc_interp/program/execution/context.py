@@ -27,8 +27,8 @@ from cnc_interp.program.text.flow import Flow
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
-#: State saved by M70: modal values, and outputs.
-State = tuple[dict[str, object], dict[str, str]]
+#: State saved by M70: modal values, and outputs; without outputs at M6.
+State = tuple[dict[str, object], dict[str, str] | None]
 
 
 class Execution:
@@ -44,7 +44,7 @@ class Execution:
         self.settings = settings
         self.variables = ProgramVariables(
             lambda: numbered(self.mover, self.tool, self.cycle.code if self.cycle else ''),
-            lambda: named(self.mover, self.tool, self.chosen_tool, self.outputs),
+            lambda: named(self.mover, self.mover.setup.tool, self.chosen_tool, self.outputs),
             dialect.readings,
         )
         self.flow = Flow(source, self.variables, settings.most_jumps)
@@ -58,6 +58,7 @@ class Execution:
         self.splines = Splines(self.mover)
         self.plane = TiltedPlane(self.mover)
         self.signals = geometry.machine.signals
+        self.tool_change_macro = geometry.machine.tool_change_macro
         self.cycle: CannedCycle | None = None
         self.called: SiemensCycle | None = None  # by MCALL
         self.tool = self.chosen_tool = setup.tool

@@ -133,6 +133,7 @@ def save_or_restore(at: Execution, code: str, _: BlockWords) -> None:
 def restore(at: Execution, state: State) -> None:
     values, outputs = state
     before, speed = at.outputs, at.mover.spindle_speed
+    outputs = before if outputs is None else outputs  # after the subprogram of M6
     at.outputs = dict(outputs)
     if str(values['offset']) != at.mover.setup.offset:
         choose_offset(at, str(values['offset']))

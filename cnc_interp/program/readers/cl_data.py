@@ -101,6 +101,7 @@ class ClReader:
         self._system = ''  # by name
         self._outputs: dict[str, str] = {}  # the last statement of each output
         self._signals = geometry.machine.signals
+        self._has_macro = bool(geometry.machine.tool_change_macro)
 
     @property
     def share(self) -> float:
@@ -374,6 +375,11 @@ class ClReader:
 
     def _switch(self, major: str, minor: str) -> bool:
         words, given = cl_words.machine_words(major, minor)
+        self._demand(
+            not (self._has_macro and 'M6' in words),
+            'CL data calls no subprogram, which M6 is on this machine; post it as G-code',
+            major,
+        )
         if not words or not set(words) <= self._signals.words.keys() | {'T'}:
             return False
         for steps in acting(self._signals, words, given, self._fault):

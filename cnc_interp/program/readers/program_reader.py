@@ -25,6 +25,7 @@ class ProgramReader(ABC):
         self.at, self.flow, self.settings = at, at.flow, at.settings
         self.fault, self.demand, self.refuse_if = at.fault, at.demand, at.refuse_if
         self.notice = at.notice
+        self.of_macro: ProgramReader | None = None  # of the macro of M6, if it is another one
         self.in_flow = False  # whether a refusal leaves it open which line is the next
 
     @abstractmethod
@@ -102,16 +103,22 @@ class ProgramReader(ABC):
     def _next_lines(self, together: bool) -> None:
         flow = self.flow
         window, row = flow.window, flow.row
+        if flow.restoring is not None:
+            restore(self.at, flow.restoring)
+            flow.restoring = None
+        if flow.rest is not None:
+            rest, flow.rest, flow.jumped = flow.rest, None, False
+            self.execute(rest)
+            flow.row += not flow.jumped
+            return
+        reader = self.of_macro if self.of_macro and flow.in_macro else self
         end = self._until_start(row, window.next_rare(row))
         end = end if together else min(end, row + 1)
         if end > row:
-            self.read_lines(row, end)
+            reader.read_lines(row, end)
         else:
             flow.jumped = False
-            self.read_line(window.line(row))
-            if flow.restoring is not None:
-                restore(self.at, flow.restoring)
-                flow.restoring = None
+            reader.read_line(window.line(row))
             if not flow.jumped:
                 flow.row = row + 1
 

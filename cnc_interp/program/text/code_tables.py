@@ -38,6 +38,9 @@ NO_LENGTHS = (
     f'{WARNING}no tool lengths are known (--setup), they are taken as zero; a machine rejects '
     'this program until its tools are in the table'
 )
+#: Variables of places to which the subprogram of M6 may go; they must be set.
+PLACES_OF_MACRO = {'#518': 'G30', '#538': 'G59.3'}
+NO_PLACE = 'the subprogram of M6 goes to {}, which is not set; enter it in the setup (--setup)'
 #: Notices of M codes on a machine without an output for them.
 NO_OUTPUT = {'M3': NO_SPINDLE, 'M4': NO_SPINDLE, 'M7': NO_COOLANT, 'M8': NO_COOLANT}
 NO_NUMBER = (

@@ -13,6 +13,7 @@ from cnc_interp.program.text.source import LineStart, Source, subprogram_file
 
 _DEEPEST_CALL = 20
 _PERCENT = re.compile(rb'(?m)^[ \t]*%')
+_HEAD = rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?'
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class _Call:
     #: State saved by M70 or M73, and whether the end of the subprogram restores it.
     saved: Any = None
     restores: bool = False
+    rest: Any = None  #: Words of the calling line that are executed after a macro of M6.
 
 
 class Cursor:
@@ -63,6 +65,7 @@ class Cursor:
         self.saved: Any = None  # what M70 saved in the main program
         self.ran_out = False  # whether the text ended before the program did
         self.restoring: Any = None  # what the last subprogram saved by M73
+        self.rest: Any = None  # words that follow the macro of M6 that has ended
         self.has_o_words = False  # whether a flow word of LinuxCNC was executed
         self.continued = False  # whether CONTINUE was executed in a DO loop of LinuxCNC
         self.returned = 0.0, 0.0  # the value of the last O- RETURN, and whether it gave one
@@ -170,21 +173,42 @@ class Cursor:
             stem,
         )
         self._count_jump()
-        back, line = self.window.place(self.row + 1), self.line_number
-        search = re.compile(rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + pattern)
+        back = self.window.place(self.row + 1)
+        search = re.compile(_HEAD + pattern)
         source, begin = self.source, self.source.find(search, self.source.start)
         if begin is None or begin.offset > self._last_percent(source):
             source = self._file_beside(stem)
-            begin = source.find(search, source.start) or LineStart(0, 0)
-        begin = source.after(begin) if begin.line else source.start
-        self._calls.append(
-            _Call(self.source, back, line, begin, rounds - 1, own_variables, self.loops)
-        )
-        self.loops = []
+            begin = source.find(search, source.start)
         if own_variables:
             self.variables.enter(arguments, vacant=vacant)
-        self.source = source
+        self._go_into(source, begin, back, rounds - 1, own_variables)
+
+    def _go_into(
+        self,
+        source: Source,
+        begin: LineStart | None,
+        back: LineStart,
+        rounds: int,
+        own_variables: bool,
+        rest: Any = None,
+    ) -> None:
+        begin = source.after(begin) if begin else source.start
+        at = self.source, back, self.line_number
+        self._calls.append(_Call(*at, begin, rounds, own_variables, self.loops, rest=rest))
+        self.loops, self.source = [], source
         self.go(begin)
+
+    def call_macro(self, text: str, name: str, rest: Any, state: Any) -> None:
+        """Call a subprogram in a line, whose other words are its ``rest``; restore the state."""
+        source = Source.of_text(text, name)
+        begin = source.find(re.compile(_HEAD + rb'O\s*(?:\d+|<[^<>]+>)\s*SUB'), source.start)
+        self.variables.enter({}, vacant=False)
+        self._go_into(source, begin, self.window.place(self.row), 0, True, rest)
+        self.save(state, restores=True)
+
+    @property
+    def in_macro(self) -> bool:
+        return any(call.rest is not None for call in self._calls)
 
     def _last_percent(self, source: Source) -> float:
         first = source.find(_PERCENT, source.start)
@@ -226,6 +250,7 @@ class Cursor:
             self.go(call.begin)
             return
         self._calls.pop()
+        self.rest = call.rest
         if call.restores:
             self.restoring = call.saved
         if call.own_variables:

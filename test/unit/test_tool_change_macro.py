@@ -170,4 +170,4 @@ def test_variables_name_the_tool_in_the_spindle_and_the_selected_one(tmp_path):
     setup = SETUP.replace('tool: 1', 'tool: 0')
     found = read(tmp_path, text, macro, setup)
     assert np.allclose(places(found)[1:, :2] - [300, 200], [[0, 3], [3, 3]])
-    assert read_text('G0 X#5400\n', 'a', Transform.of(Machine.load('vmc'))).blocks.tip[1, 0] == 0.0
+    assert read_text('G0 X#5400\n', 'a', Transform.of(Machine.load('vmc'))).blocks.tip[0, 0] == 0.0

@@ -4,7 +4,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import SetpointChunk
+from cnc_interp_msgs.msg import LoadedProgram, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core import InterpError, Refusal, StreamError
@@ -17,10 +17,12 @@ from cnc_interp.nodes import node_main, parameters
 from cnc_interp.nodes.controls import Controls, Overrides
 from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_topics import MachineTopics
+from cnc_interp.nodes.qos import LOADED
+from cnc_interp.nodes.seals import hear
 from cnc_interp.nodes.streams import Inlet
 from cnc_interp.run.clearance_stage import contact_by_hand
 from cnc_interp.run.run_planner import JOIN_RESERVE
-from cnc_interp.run.run_state import Reason, State
+from cnc_interp.run.run_state import NO_RUN, Reason, RunId, State
 from cnc_interp.wire.message_checks import check_chunk
 from cnc_interp.wire.path_messages import JoinGate, chunk_from
 from cnc_interp.wire.run_messages import run_id_of
@@ -78,6 +80,8 @@ class MachineNode(LifecycleNode):
             gate=self._pass,
         )
         self._inlet.buffered_time = 0.0
+        self._coming = NO_RUN  # was started, but no setpoint of it has come yet
+        hear(self, LoadedProgram, 'loaded_program', self._see_program, LOADED, self._diagnostics)
         self._pace = node_main.Pace(self, WORK_PERIOD, self._work)
         self._overrides = Overrides(self, self._playback, self._diagnostics, self._pace.wake)
         told = self._diagnostics, self._give_up, self._pace.wake
@@ -150,6 +154,7 @@ class MachineNode(LifecycleNode):
     def _take(self, chunk: SetpointChunk) -> None:
         playback = self._playback
         if chunk.first_sample == 0:
+            self._coming = NO_RUN
             playback.begin_plan(run_id_of(chunk))
             if not playback.plans.played:
                 playback.cycle.forget_lateness()  # a new run resets the figures
@@ -160,10 +165,21 @@ class MachineNode(LifecycleNode):
         """Stop on the path after the valid setpoints, because the run receives no more."""
         self._playback.refuse(self._inlet.receiver.refusal_text)
 
+    def _see_program(self, program: LoadedProgram) -> None:
+        if program.program_id != self._inlet.receiver.run_id.program_id:
+            self._coming = RunId(program.program_id)
+            self._pace.wake()
+
     def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
+        """Give up the run, and one that is still being planned: it would start after a reset."""
+        coming, self._coming = self._coming, NO_RUN
+        self._refuse(self._inlet.receiver.run_id, kind, reason)
+        self._refuse(coming, kind, reason)
+
+    def _refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
         receiver = self._inlet.receiver
-        if receiver.run_id and not receiver.refused:
-            self._inlet.refuse(receiver.run_id, kind, reason)
+        if run_id and not (run_id == receiver.run_id and receiver.refused):
+            self._inlet.refuse(run_id, kind, reason)
 
     def _work(self) -> bool:
         """Open the window by the setpoints played; publish a change of the state at once."""
@@ -177,7 +193,7 @@ class MachineNode(LifecycleNode):
         if state.state is State.FAULT:
             self._give_up(state.text, Refusal.MACHINE_FAULT)
         elif mine and state.reason is Reason.PROBE and state.completed:
-            self._give_up('the probe has answered', Refusal.PROBED)
+            self._refuse(run_id, Refusal.PROBED, 'the probe has answered')
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
         homed = tuple(self._controls.homing.homed)

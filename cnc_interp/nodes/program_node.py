@@ -318,7 +318,7 @@ class ProgramNode(Node):
 
     def _help(self, run: ProgramRun, now: float) -> None:
         if run.preparation.cancelled:
-            self._press('reset' if run.rests else 'feed_hold', now)
+            self._press('reset' if run.may_reset else 'feed_hold', now)
         elif run.may_go_on():
             run.begin_again(now, self._outlet.sender.sent)
             self._begin(run)

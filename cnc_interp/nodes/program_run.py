@@ -39,6 +39,7 @@ SWITCHED = 0.1  #: Longest delay of the machine's new state after a call [s].
 SAME = 1e-9  #: Tolerance within which the machine is at the start of an MDI line [m, rad].
 #: Place of a start at the line of the first motion [m]; above 0, so that it waits as usual.
 FIRST_MOTION = 5e-14
+CANCELLED = 'cancelled before anything moved'
 MACHINE = RECEIVERS['setpoints']
 PLANNERS = {RECEIVERS['blocks'], RECEIVERS['segments']}
 
@@ -114,7 +115,7 @@ class ProgramRun:
 
     def _wait(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         if self.preparation.cancelled:
-            return Outcome(Code.CANCELED, 'cancelled before anything moved')
+            return Outcome(Code.CANCELED, CANCELLED)
         missing, machine = peers.missing(now, timeout), peers.machine
         if not missing and machine is not None:
             if machine.must_home or machine.state in (State.FAULT, State.STOPPING):
@@ -198,7 +199,9 @@ class ProgramRun:
         if not kind or (machine is not None and machine.moves):
             return None
         if self.preparation.cancelled:
-            return Outcome(Code.CANCELED, 'cancelled; the machine rests on the path')
+            begun = self._machine is not None
+            text = 'cancelled; the machine rests on the path' if begun else CANCELLED
+            return Outcome(Code.CANCELED, text)
         return run_phase.refused(kind, reason, moved=self._machine is not None)
 
     def _at_probe(self, probe: Probe, machine: MachineReport) -> Outcome | None:
@@ -247,6 +250,11 @@ class ProgramRun:
     @property
     def rests(self) -> bool:
         return self._machine is not None and self._machine.rests_on_path
+
+    @property
+    def may_reset(self) -> bool:
+        """Return whether a reset gives this run up: it rests on the path, or has not begun."""
+        return self._machine is None or self.rests
 
     @property
     def trouble(self) -> str:

@@ -180,6 +180,24 @@ def test_hold_away_override_and_emergency_stop(bench, tmp_path, capsys):
     bench.heard(start, first)
 
 
+def test_an_emergency_stop_before_the_first_motion_ends_the_program(bench):
+    """The machine had no setpoint of it, and the goal stayed for ever."""
+    stands = bench.place
+    bench.override.publish(Float64(data=0.0))
+    bench.spin_until(lambda: bench.state.feed_override == 0.0)
+    heard = len(bench.diagnostics)
+    handle = bench.start(text=PROGRAM, name='part.apt')
+    bench.spin_until(lambda: any(t.startswith('planning') for _, t in bench.diagnostics[heard:]))
+    assert bench.press('emergency_stop').success
+    result = bench.result_of(handle)
+    assert (result.code, result.samples) == (RunProgram.Result.STOPPED, 0)
+    bench.override.publish(Float64(data=1.0))
+    bench.spin_until(lambda: bench.state.feed_override == 1.0)
+    assert bench.press('reset').success
+    bench.spin_for(1.0)
+    assert np.array_equal(bench.place, stands)
+
+
 def test_lines_by_hand_begin_where_the_tool_stands(bench):
     bench.moved(tip=[0.02, 0.03, 0.1], axis=[0.1, 0.2, 0.97])
     start, first = bench.place, len(bench.executed)

@@ -66,6 +66,39 @@ def test_a_program_started_at_an_override_of_0_begins_when_it_is_raised(bench):
     bench.finish(handle)
 
 
+@pytest.mark.parametrize(
+    ('how', 'code', 'says'),
+    [
+        ('emergency_stop', Result.STOPPED, 'emergency stop'),
+        ('reset', Result.STOPPED, 'given up by reset'),
+        ('cancel', Result.CANCELED, 'before anything moved'),
+    ],
+)
+def test_a_program_that_is_stopped_before_it_moves_ends_and_does_not_move_after_a_reset(
+    bench, how, code, says
+):
+    """The machine had no setpoint of it, and the goal stayed for ever."""
+    bench.override.publish(Float64(data=0.0))
+    bench.spin_until(lambda: bench.state.feed_override == 0.0)
+    heard = len(bench.diagnostics)
+    handle = bench.start(text=waves(1))
+    bench.spin_until(lambda: any(t.startswith('planning') for _, t in bench.diagnostics[heard:]))
+    stands = list(bench.state.commanded_positions)
+    if how == 'cancel':
+        handle.cancel_goal_async()
+    else:
+        assert bench.press(how).success
+    result = bench.result_of(handle)
+    assert result.code == code and says in result.message and result.samples == 0
+    bench.override.publish(Float64(data=1.0))
+    assert bench.press('reset').success
+    bench.until_state(MachineState.IDLE)
+    bench.spin_until(lambda: bench.state.feed_override == 1.0)
+    bench.spin_for(1.0)
+    assert list(bench.next_state().commanded_positions) == stands
+    bench.finish(bench.begin(waves(1)))
+
+
 @pytest.mark.thorough
 def test_a_program_runs_while_the_clock_of_ros_stands():
     still = ['-p', 'use_sim_time:=true']  # nobody publishes /clock

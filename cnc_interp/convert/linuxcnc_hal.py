@@ -19,7 +19,10 @@ from cnc_interp.machine.hal_pins import (
     sent,
 )
 from cnc_interp.machine_model.signals import (
+    COUNTS,
+    STEP,
     Signals,
+    handwheel_input,
     home_input,
     index_signals,
     limit_inputs,
@@ -37,6 +40,7 @@ ENABLE = re.compile(r'joint\.\d+\.amp-enable-out|motion\.motion-enabled|halui\.m
 RELEASED, LOOP = 'iocontrol.0.emc-enable-in', 'iocontrol.0.user-enable-out'
 RESET = 'iocontrol.0.user-request-enable'
 STOP = 'cnc-released'  #: Signal that replaces that of the emergency stop.
+OURS = 'cnc.'  #: Pins with this begin are outputs and inputs of the machine file, by name.
 NUMBER = 'iocontrol.0.tool-prep-number'  #: Number of the tool, an integer pin in LinuxCNC.
 SPINDLE_FAULT = 'spindle.0.amp-fault-in'
 #: Functions that replace those of the motion controller.
@@ -124,6 +128,8 @@ class _Conversion:
             joints = [k for k, each in enumerate(self.wiring.joints) if each == letter]
             self._axis(i, letter, joints, outputs, inputs)
         self._spindle(outputs)
+        self._handwheel(axes, inputs)
+        self.place |= {f'{OURS}{name}': pin for name, pin in (outputs | inputs).items()}
         self.place = {pin: board.pin(ours) for pin, ours in self.place.items()}
         self.ours = {each for pins in self.place.values() for each in pins.split()}
 
@@ -312,6 +318,25 @@ class _Conversion:
                 place[name] = ' '.join([*inputs[name], f'{x}-home.in-{switches.index(name) + 1}'])
             if len(given) == 1:  # one switch for both
                 place[given[0]] = f'{x}-home.in-1 {x}-home.in-2'
+
+    def _handwheel(self, axes: Sequence[str], inputs: dict[str, str]) -> None:
+        """Connect the one handwheel whose counts and steps all axes share."""
+        board, place = self.board, self.place
+        each = [(a, f'axis.{a.lower()}.jog') for a in axes]
+        each += [(a, f'joint.{k}.jog') for k, a in enumerate(self.wiring.joints)]
+        inch = {self.wiring.units.get(a, 1.0) for a in axes if a in 'XYZ'} - {1.0}
+        for name, key, module, given in (
+            (COUNTS, 'counts', 'conv_s32_float', {}),
+            (STEP, 'scale', 'scale', {'gain': max(inch, default=1.0)}),
+        ):
+            pins = [f'{pin}-{key}' for _, pin in each if f'{pin}-{key}' in self.final]
+            shared = {self.rows[self.final[pin]].words[1] for pin in pins}
+            if name in inputs and len(shared) == 1:
+                place |= dict.fromkeys(pins, f'{name}.in')
+                board.connect(board.add(module, name, given), inputs[name])
+        for axis, pin in each:
+            if handwheel_input(axis) in inputs:
+                place[f'{pin}-enable'] = inputs[handwheel_input(axis)]
 
     def _spindle(self, outputs: dict[str, str]) -> None:
         """Derive further spindle pins of LinuxCNC, besides speed and direction, if connected."""

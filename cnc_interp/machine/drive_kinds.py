@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray, InterpError
+from cnc_interp.machine.kept_positions import kept_positions
 from cnc_interp.machine_model.signals import home_input
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
     from cnc_interp.machine.simulated_drives import CompensatedDrives, SimulatedDrives
 
     position, touches = _start(machine, values['start_height']), values['probe_touches']
+    known = kept_positions(values['position_file'], machine)
+    position = np.where(np.isfinite(known), known, position)
     drives = SimulatedDrives(machine, period, position)
     if touches:
         from cnc_interp.machine.simulated_probe import ProbingDrives
@@ -80,7 +83,8 @@ def _start(machine: Machine, height: float) -> FloatArray:
 def _hal(machine: Machine, period: float, values: Values, _link: Link) -> Drives:
     from cnc_interp.machine.hal_drives import HalDrives
 
-    return HalDrives(machine, period, values['hal_depth'], _limits(machine, values))
+    known = kept_positions(values['position_file'], machine)
+    return HalDrives(machine, period, values['hal_depth'], _limits(machine, values), known)
 
 
 def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> Drives:

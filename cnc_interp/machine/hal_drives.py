@@ -159,14 +159,21 @@ class HalDrives(HomedDrives):
     """Drives that a running session of HAL moves; see ``drives.CycleDrives``.
 
     ``depth``: number of setpoints that wait in HAL's FIFO; ``limits``: largest following error of
-    each axis [m, rad]. Raises DriveFaultError if no session runs, if the wiring is wrong, or if
-    HAL's thread has stopped or has another period.
+    each axis; ``known``: its kept position, or NaN [m, rad]. Raises DriveFaultError if no session
+    runs, if the wiring is wrong, or if HAL's thread has stopped or has another period.
     """
 
     wired = True
     lag = 0.02  #: Typical lag of drives with a following error [s].
 
-    def __init__(self, machine: Machine, period: float, depth: int, limits: FloatArray):
+    def __init__(
+        self,
+        machine: Machine,
+        period: float,
+        depth: int,
+        limits: FloatArray,
+        known: FloatArray | None = None,
+    ):
         self._names, self.ahead = machine.axis_names, (depth + hal_step.LATER) * period
         n = len(self._names)
         self._session = HalSession()
@@ -203,7 +210,7 @@ class HalDrives(HomedDrives):
             self.step = int(hal_step.step_hal.address)
             self._step_alone = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(self.step)
             self._await_answer()
-            self._assume_inside(machine)
+            self._assume_inside(machine, np.full(n, np.nan) if known is None else known)
         except BaseException:
             self._leave()
             raise
@@ -254,9 +261,10 @@ class HalDrives(HomedDrives):
         if not self._block.words[hal_step.COUNTED]:
             raise DriveFaultError("HAL's thread does not run; start it: halcmd start")
 
-    def _assume_inside(self, machine: Machine) -> None:
-        """Give axes that will be homed a position within their travel, whatever HAL reports."""
+    def _assume_inside(self, machine: Machine, known: FloatArray) -> None:
+        """Give axes with a switch their known position, or one within their travel."""
         block, inside = self._block, np.clip(self._block.actual[1], *machine.travel.T)
+        inside = np.where(np.isfinite(known), known, inside)
         block.shift[:] = np.where(block.home >= 0, inside - block.actual[1], 0.0)
         hal_step.shift_axes(block)
 

@@ -157,6 +157,10 @@ class Homing:
         self._groups, self._stages = [], {}
         self._jog.by_drives = False
 
+    def know(self, axes: Sequence[str]) -> None:
+        """Take axes as homed, because their positions were kept without power."""
+        self._unknown -= set(axes)
+
     def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:
         """Begin to home axes, by default all; return which, or raise StreamError."""
         given = self._machine.homing

@@ -35,6 +35,7 @@ from cnc_interp.machine_model.signals import (
     FAULT,
     LOST_MACHINE,
     LOST_PLANNER,
+    POWER_FAILS,
     RESET,
     SINCE,
     STOPS,
@@ -55,6 +56,7 @@ RESTS = {
     Wait.END: (Event.FINISH, Reason.NONE),
 }
 STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
+NO_POWER = 'the power fails; wait until it is back, then reset'
 LOST = 2.0  #: The planner counts as lost after this wait for setpoints [s].
 #: Motion that is read in one call if much is buffered and nothing else happens [s].
 TOGETHER = 0.01
@@ -149,6 +151,7 @@ class Playback:
             self._limits,
         )
         self._signals = machine.signals
+        self._power_input = machine.signals.input(POWER_FAILS)
         self.followed: deque[Followed] = deque()  # until they are published
         self.contacts: deque[Contact] = deque()  # until they are published
         self.switching = Switching(machine.signals, drives, self.spindle)
@@ -237,6 +240,10 @@ class Playback:
         """Whether the cycle must be read often, because setpoints wait or are being played."""
         waits = self.plans.buffer.count or self.switching.busy or self._delayed is not None
         return bool(not self.state.resting or waits)
+
+    @property
+    def power_fails(self) -> bool:
+        return self._power_input >= 0 and bool(self.drives.inputs[self._power_input])
 
     def check_jog(self) -> None:
         self.read()
@@ -373,6 +380,8 @@ class Playback:
         switching = self.switching
         waits = self.state.waits_for in (WaitsFor.SETPOINTS, WaitsFor.NEW_PLAN)
         self._see_stop()
+        if self.power_fails:
+            self._alarm(NO_POWER)
         self._progress.waited = self._progress.waited + seconds if waits else 0.0
         if self._progress.waited >= LOST and not self.switching.off:
             self._switch_off(LOST_PLANNER)

@@ -16,7 +16,7 @@ from cnc_interp.core.small_files import UnreadableError, config_directory, is_nu
 from cnc_interp.machine_model.demands import demand
 
 #: Letters of a program whose value a function may take: speed, tool, and words of its own block.
-LETTERS = ('S', 'T', 'P', 'Q')
+LETTERS = ('S', 'T', 'P', 'Q', 'R')
 #: Events that switch outputs off: emergency stop, fault, operator's reset, missing setpoints, and
 #: the end of the machine node, at which HAL acts alone.
 EMERGENCY, FAULT, RESET, LOST_PLANNER, LOST_MACHINE = STOPS = (
@@ -59,7 +59,11 @@ MOST_TOOL = 1e6  #: Largest number of a tool that a program may name.
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
 TURNING = 'spindle_turning'  #: Condition: the spindle turns, according to its encoder.
-NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's'}  #: Numeric inputs, with their units.
+#: Inputs of a handwheel: its counts, the way per count, and whether it moves an axis.
+COUNTS, STEP, WHEEL = 'handwheel', 'handwheel_step', 'handwheel_'
+#: Numeric inputs, with their units.
+NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's', COUNTS: '', STEP: ''}
+POWER_FAILS = 'power_fails'  #: Input: the mains are gone, and the supply lasts for a stop.
 FIXED = 'fixed'  #: Value of M50 and M51: 1 for P0.
 PER_TURN, FEED_FIXED, SPINDLE_FIXED = 'feed_per_turn', 'feed_fixed', 'spindle_fixed'
 SURFACE = ('surface_zero', 'surface_limit', 'surface_speed')
@@ -105,6 +109,10 @@ def numbered_word(code: str, values: Mapping[str, float]) -> str:
 def limit_inputs(axis: str) -> tuple[str, str]:
     """Return the inputs of the limit switches at the lower and at the upper end of an axis."""
     return f'limit_{axis.lower()}_low', f'limit_{axis.lower()}_high'
+
+
+def handwheel_input(axis: str) -> str:
+    return f'{WHEEL}{axis.lower()}'
 
 
 def square_output(axis: str) -> str:

@@ -14,6 +14,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from cnc_interp.core import BlockError, FloatArray, StreamError
+from cnc_interp.machine.handwheel import Handwheel
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
@@ -48,6 +49,7 @@ class Controls:
         self._jog = Jog(playback, contact and (lambda q: self._contact(contact, q)))
         self._transform = Transform.of(playback.axes.machine)
         self.homing = Homing(playback, self._jog)
+        self._handwheel = Handwheel(playback, self._jog)
         for kind, name, act in (
             (Trigger, 'feed_hold', partial(self._press, playback.hold)),
             (Trigger, 'cycle_start', partial(self._press, playback.start)),
@@ -167,6 +169,7 @@ class Controls:
     def work(self, override: float) -> None:
         try:
             self.homing.work(time.monotonic())
+            self._handwheel.work(self.homing.active)
             self._jog.work(time.monotonic(), override)
         except ContactError as problem:
             if self.homing.active:  # again, of axes that were homed

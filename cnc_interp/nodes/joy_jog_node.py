@@ -1,9 +1,10 @@
-"""The joystick node: takes ``joy``, and sends ``jog`` beats while its enable button is pressed."""
+"""The joystick node: ``joy`` becomes ``jog`` beats and steps while its button is pressed."""
 
 from functools import partial
 from typing import Any
 
 from cnc_interp_msgs.msg import Jog
+from cnc_interp_msgs.srv import MoveAxes
 from rclpy.node import Node
 from sensor_msgs.msg import Joy
 
@@ -20,6 +21,7 @@ TOOL = 'tool'  #: Name of the motion along the tool, used like an axis name in p
 def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
     found = [
         Declared('enable_button', 4, 'Button that must be pressed, number in joy', 0, 63),
+        Declared('step', 0.1, 'Way per count of a handwheel [mm, deg]', 1e-4, 100.0),
         Declared('deadband', 0.1, 'Deflections below this are ignored [-]', 0.0, 0.9),
     ]
     for name in (*names, TOOL):
@@ -27,6 +29,9 @@ def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
             Declared(f'axis.{name}', -1, f'Axis of joy that moves {name}; -1: no axis', -1, 63),
             Declared(f'scale.{name}', 1.0, 'Largest share of its velocity [-]', -1.0, 1.0),
         ]
+    for name in names:
+        told = f'Axis of joy that counts the steps of a handwheel for {name}; -1: no handwheel'
+        found.append(Declared(f'wheel.{name}', -1, told, -1, 63))
     return tuple(found)
 
 
@@ -34,9 +39,11 @@ class JoyJogNode(Node):
     def __init__(self) -> None:
         super().__init__('joy_jog_node')
         machine = parameters.declare(self, (MACHINE,))['machine']
-        self._names = Machine.load(machine).axis_names
+        self._axes = Machine.load(machine).axes
+        self._names = tuple(axis.name for axis in self._axes)
         self._values: dict[str, Any] = parameters.declare(self, declared(self._names))
-        self._enabled = False
+        self._enabled, self._counts = False, dict[str, float]()
+        self._mover = self.create_client(MoveAxes, 'move_axes')
         self._beats = self.create_publisher(Jog, 'jog', BEATS)
         self.create_subscription(Joy, 'joy', self._take, BEATS)
 
@@ -44,6 +51,7 @@ class JoyJogNode(Node):
         """Publish a beat for each message while the button is pressed, and one at its release."""
         button = self._values['enable_button']
         before, self._enabled = self._enabled, bool(joy.buttons[button : button + 1].count(1))
+        self._turn(joy)
         if not self._enabled:
             if before:
                 self._beats.publish(Jog())
@@ -53,6 +61,24 @@ class JoyJogNode(Node):
         moved = {} if tool else {name: share for name, share in shares.items() if share}
         beat = Jog(axes=list(moved), shares=list(moved.values()), tool=tool)
         self._beats.publish(beat)
+
+    def _turn(self, joy: Joy) -> None:
+        """Move the axes by the new counts of their handwheels while the button is pressed."""
+        wheels = {axis: self._values[f'wheel.{axis.name}'] for axis in self._axes}
+        now = {
+            axis.name: float(joy.axes[k]) for axis, k in wheels.items() if 0 <= k < len(joy.axes)
+        }
+        before, self._counts = self._counts, now
+        step = self._values['step']
+        moved = {
+            axis.name: (now[axis.name] - before[axis.name]) * step * axis.shown_size
+            for axis in wheels
+            if axis.name in now and now[axis.name] != before.get(axis.name, now[axis.name])
+        }
+        if moved and self._enabled:
+            values = list(moved.values())
+            request = MoveAxes.Request(axes=list(moved), values=values, relative=True)
+            self._mover.call_async(request)
 
     def _share(self, joy: Joy, name: str) -> float:
         number, deadband = self._values[f'axis.{name}'], self._values['deadband']

@@ -1,6 +1,7 @@
 """The machine node: takes ``setpoints``, and sends them to the drives at absolute deadlines."""
 
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from cnc_interp.core import InterpError, Refusal, StreamError
 from cnc_interp.machine.cycle import MachineClock
 from cnc_interp.machine.drive_kinds import drives_of
+from cnc_interp.machine.kept_positions import keep_positions, kept_positions
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
 from cnc_interp.machine_model.machine import Machine
@@ -45,6 +47,7 @@ class MachineNode(LifecycleNode):
         self._values = parameters.declare(self, parameters.MACHINE_NODE)
         self._period: float = self._values['interpolation_period']
         self._published: tuple[Any, ...] = ()
+        self._kept = False  # whether a power failure has written the positions
         self._clock_of_drives: MachineClock | None = None
         if self._values['autostart']:
             node_main.start_lifecycle(self)
@@ -88,6 +91,8 @@ class MachineNode(LifecycleNode):
         outputs = self._playback.spindle.commanded
         contact = contact_by_hand(machine, parameters.settings_of(values), outputs)
         self._controls = Controls(self, self._playback, *told, contact)
+        known = np.isfinite(kept_positions(values['position_file'], machine))
+        self._controls.homing.know(np.array(machine.axis_names)[known].tolist())
         given = self._overrides, self._controls.homing, self._diagnostics, self._pace.wake
         self._topics = MachineTopics(self, self._playback, values, *given)
         node_main.every(self, CLOCK_PERIOD, self._report_clock)
@@ -99,6 +104,7 @@ class MachineNode(LifecycleNode):
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         assert self._clock_of_drives is not None
+        self._forget_positions()
         self._clock_of_drives.start()
         done = node_main.transition(self, self._playback.switch_on)
         return super().on_activate(state) if done == TransitionCallbackReturn.SUCCESS else done
@@ -111,6 +117,25 @@ class MachineNode(LifecycleNode):
         self._stop_clock()
         self._controls.homing.forget()
         return super().on_deactivate(state)
+
+    def _keep_positions(self) -> None:
+        """Write the positions into the file, unless they are in doubt."""
+        playback, file = self._playback, self._values['position_file']
+        fault = playback.state.state is State.FAULT and not playback.power_fails
+        if (
+            file
+            and playback.state.resting
+            and playback.state.state is not State.INACTIVE
+            and not fault
+        ):
+            given = playback.feedback.position[-1], self._controls.homing.homed
+            keep_positions(file, playback.axes.machine, *given)
+            self._kept = True
+
+    def _forget_positions(self) -> None:
+        self._kept = False
+        if self._values['position_file']:
+            Path(self._values['position_file']).unlink(missing_ok=True)
 
     def _pass(self, chunk: SetpointChunk) -> list[SetpointChunk]:
         """Hold back the first chunks of a joining plan until there are enough."""
@@ -190,6 +215,8 @@ class MachineNode(LifecycleNode):
         receiver.consumed = playback.plans.played_of_plan if mine else 0
         self._inlet.buffered_time = playback.plans.buffer.count * self._period
         self._topics.tell_contacts()  # before the state that counts with them
+        if self._kept is not (state.state is State.FAULT and playback.power_fails):
+            (self._forget_positions if self._kept else self._keep_positions)()
         if state.state is State.FAULT:
             self._give_up(state.text, Refusal.MACHINE_FAULT)
         elif mine and state.reason is Reason.PROBE and state.completed:
@@ -242,6 +269,7 @@ class MachineNode(LifecycleNode):
         if self._clock_of_drives is not None:
             self._stop_clock()
             self._clock_of_drives = None
+            self._keep_positions()
             self._playback.close()
 
 

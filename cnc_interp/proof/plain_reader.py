@@ -275,7 +275,9 @@ class _State:
         functions += sorted(found, key=lambda code: FIRST.get(code, 2))
         fixed = float(idle.get('P', 1.0) == 0.0)
         letters = {'S': self.speed, 'T': self.tool_number, FIXED: fixed}
-        letters |= {letter: idle[letter] for letter in 'PQ' if letter in idle}
+        if 'M19' in found:
+            idle['R'] = words.pop('R', 0.0)
+        letters |= {letter: idle[letter] for letter in 'PQR' if letter in idle}
         given = {letter: (value,) for letter, value in letters.items()}
         later = [each for each in functions if each in self.settings.after]
         for each in functions:

@@ -169,6 +169,41 @@ def test_a_joystick_moves_axes_while_its_button_is_pressed(bench):
     assert end[2] < start[2] and np.array_equal(np.delete(end, 2), np.delete(start, 2))
 
 
+def test_each_count_of_a_handwheel_on_joy_is_a_step_while_the_button_is_pressed(bench):
+    start = until_idle(bench)
+    command = [sys.executable, '-m', 'cnc_interp.nodes', 'joy_jog_node', '--ros-args']
+    command += ['-r', f'__ns:={bench.namespace}', '-p', 'wheel.Y:=0', '-p', 'step:=0.5']
+    node = subprocess.Popen(command, env=os.environ | {'ROS_DOMAIN_ID': str(bench.domain)})
+    try:
+        bench.spin_until(lambda: bench.joy.get_subscription_count() > 0)
+        counts, pressed = 100.0, True
+
+        def turn(by):
+            nonlocal counts
+            counts += by
+            bench.joy.publish(Joy(axes=[counts], buttons=[0, 0, 0, 0, int(pressed)]))
+            bench.spin_for(0.05)
+            return bench.state.state == MachineState.JOGGING
+
+        # The first message shows where the wheel stands, so the first count may move nothing.
+        bench.spin_until(lambda: turn(1.0))
+        moved = until_idle(bench)
+        for _ in range(4):
+            turn(-1.0)
+        wanted = moved[1] - 4 * 0.5e-3
+        bench.spin_until(lambda: abs(until_idle(bench)[1] - wanted) < 1e-9)
+        pressed = False
+        turn(3.0)
+        turn(3.0)
+    finally:
+        node.terminate()
+        assert node.wait(30.0) == 0
+    end = until_idle(bench)
+    assert end[1] == pytest.approx(wanted, abs=1e-9)
+    assert (moved[1] - start[1]) / 0.5e-3 == pytest.approx(round((moved[1] - start[1]) / 0.5e-3))
+    assert np.array_equal(np.delete(end, 1), np.delete(start, 1))
+
+
 def test_the_command_line_moves_and_refuses_in_one_line(bench, capfd):
     def cnc_interp(*words):
         place = ['--namespace', bench.namespace, '--domain', str(bench.domain)]

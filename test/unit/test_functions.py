@@ -476,3 +476,42 @@ def test_tool_changes_and_the_spindle_take_the_times_of_the_machine_file() -> No
     # Up to 6000 and 9000, down for the change, up to 9000, down to 3000 and to rest: by squares.
     assert by_line[[1, 2, 4, 6, 7, 9, 10]] == pytest.approx([5, 36, 45, 167, 81, 144, 18])
     assert by_line.sum() == pytest.approx(496.0)
+
+
+ORIENT = {
+    'outputs': {'angle': {'unit': 'deg', 'range': [0, 360]}, 'orient': None},
+    'inputs': {'oriented': {'follows': 'orient', 'after_s': 0.2}},
+    'switched_off': {'orient': 'always'},
+    'functions': {'M19': [{'angle': 'R'}, {'orient': 1, 'wait_for': 'oriented', 'limit_s': 20}]},
+}
+
+
+def test_m19_orients_the_spindle_to_the_angle_r(tmp_path) -> None:
+    machine = replace(Machine.load('xyz'), signals=signals({'signals': ORIENT}))
+    text = 'G21 G90 F1000\nG0 X0 Y0 Z0\nG1 X10\nM19 R90.5\nX20\nM19\nX30\nM30\n'
+    found, _ = functions_of(text, machine)
+    assert found == [
+        (2, 'angle 90.5 deg'),
+        (2, 'orient on'),
+        (3, 'angle 0 deg'),
+        (3, 'orient on'),
+    ]
+    plan_to_files(
+        ProgramStream(Source.of_text(text, 'part.ngc'), Transform.of(machine), Settings()),
+        machine,
+        tmp_path / 'out',
+        Settings(),
+    )
+    plan, part = read_plan(tmp_path / 'out'), tmp_path / 'part.ngc'
+    assert plan.blocks['exact_stop'][[1, 2]].all()  # the path rests while the spindle turns
+    part.write_text(text, encoding='utf-8')
+    assert compare_with_text(plan, machine, part).faults == ()
+    part.write_text(text.replace('R90.5', 'R91'), encoding='utf-8')
+    assert 'M19' in compare_with_text(plan, machine, part).faults[0]
+    with pytest.raises(ProgramError, match='angle 400 is outside'):
+        functions_of(text.replace('R90.5', 'R400'), machine)
+
+
+def test_m19_without_a_function_moves_nothing_and_takes_its_words() -> None:
+    found, _ = functions_of('G0 X0 Y0\nM19 R90 P1 Q5\nG0 X10\n', Machine.load('xyz'))
+    assert found == []

@@ -368,3 +368,38 @@ def test_limit_switches_are_inputs_of_their_axis(joints):
         assert net_of(nets, 'parport.0.pin-13-in') == {'parport.0.pin-13-in', 'limit_y_low.in1'}
     else:
         assert net_of(nets, 'parport.0.pin-11-in') == {'parport.0.pin-11-in', pin}
+
+
+WHEEL = """net wheel encoder.3.counts => axis.x.jog-counts axis.z.jog-counts joint.0.jog-counts
+net step mux4.0.out => axis.x.jog-scale axis.z.jog-scale
+net x-chosen parport.1.pin-02-in => axis.x.jog-enable joint.0.jog-enable
+net z-chosen parport.1.pin-04-in => axis.z.jog-enable
+net ups parport.1.pin-05-in => cnc.power_fails
+"""
+NAMES = 'handwheel', 'handwheel_step', 'handwheel_x', 'handwheel_z', 'power_fails'
+
+
+def test_a_handwheel_and_any_named_input_are_connected():
+    nets, _, _, left_out = converted(
+        HAL + WHEEL, 'XYZ', {'signals': {'inputs': dict.fromkeys(NAMES)}}
+    )
+    assert not [line for line in left_out if 'jog' in line or 'cnc.' in line]
+    assert net_of(nets, 'encoder.3.counts') == {'encoder.3.counts', 'handwheel.in'}
+    assert net_of(nets, 'handwheel.out') == {'handwheel.out', 'sampler.0.pin.6'}
+    assert net_of(nets, 'mux4.0.out') == {'mux4.0.out', 'handwheel_step.in'}
+    assert net_of(nets, 'handwheel_step.out') == {'handwheel_step.out', 'sampler.0.pin.7'}
+    pins = {
+        f'parport.1.pin-0{k}-in': f'wsum.0.bit.{bit}.in' for k, bit in ((2, 5), (4, 6), (5, 7))
+    }
+    for pin, ours in pins.items():
+        assert net_of(nets, pin) == {pin, ours}
+
+
+def test_two_handwheels_are_not_one():
+    other = WHEEL.replace(
+        ' axis.z.jog-counts', '\nnet other encoder.4.counts => axis.z.jog-counts'
+    )
+    _, _, _, left_out = converted(
+        HAL + other, 'XYZ', {'signals': {'inputs': dict.fromkeys(NAMES)}}
+    )
+    assert len([line for line in left_out if 'jog-counts' in line]) == 2

@@ -27,8 +27,6 @@ def choose_tool(at: Execution, words: BlockWords) -> None:
     if changes:
         at.has_tool = at.tool == at.mover.setup.tool
         at.mover.change(SetupChange('tool', at.tool))
-    if 'M19' in words.m and 'G64' not in words.g:
-        words.take('RPQ')  # where the spindle stops
     if words.second_tool is not None:
         at.demand(changes, 'T is written twice in one block; keep one of them', 'T')
         at.chosen_tool = round(min(abs(words.second_tool), 1e6))
@@ -79,12 +77,15 @@ def functions_of(at: Execution, words: BlockWords) -> tuple[list[Acting], list[A
     if not found:
         return [], []
     tool = at.tool if 'M6' in words.m else at.chosen_tool
-    given = {**values, 'S': mover.spindle_speed, 'T': float(tool)}
+    given = {'R': 0.0} if 'M19' in words.m else {}  # angle at which the spindle stops
+    given |= {**values, 'S': mover.spindle_speed, 'T': float(tool)}
     given |= zip(signals.SURFACE, states[1], strict=False)
     if {'M50', 'M51'} & set(words.m):
         given[signals.FIXED] = float(values.pop('P', 1.0) == 0.0)
     moments = acting(at.signals, found, given, at.fault)
-    words.take(at.signals.letters(found) & {'P', 'Q'})
+    words.take(at.signals.letters(found) & {'P', 'Q', 'R'})
+    if 'M19' in words.m and 'G64' not in words.g:
+        words.take('RPQ')
     return moments
 
 

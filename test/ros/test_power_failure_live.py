@@ -52,8 +52,7 @@ def test_axes_that_were_homed_need_no_homing_after_a_power_failure(tmp_path, cap
         assert main(['home', *place]) == 0, capfd.readouterr().err
         # A handwheel over the same topic: 20 counts of 0.5 mm.
         begins = bench.next_state().positions[0]
-        tell(bench, handwheel_step=0.5, handwheel_x=1, handwheel=0)
-        bench.spin_for(0.2)
+        tell(bench, handwheel_step=0.5, handwheel_x=1)
         tell(bench, handwheel=20)
         bench.spin_until(lambda: abs(bench.state.positions[0] - begins - 0.01) < 1e-6)
         slow = MoveAxes.Request(axes=['X', 'C'], values=[0.4, 1.0], speed=0.01)

@@ -2,8 +2,8 @@
 
 Recording begins and ends with a handshake with every node. Parameters are requested after
 subscribing to the topics, so a node that answers knows the subscriptions. At the end every node
-publishes its collected messages (``~/flush``). The recorder then counts the executed setpoints and
-awaits a later state of the machine.
+publishes its collected messages (``~/flush``). The recorder then awaits a later state of the
+machine, and every executed setpoint that the machine has counted by then.
 """
 
 import sys
@@ -23,6 +23,7 @@ from std_srvs.srv import Trigger
 from cnc_interp.client.bag import TOPICS, BagWriter, refuse_existing
 from cnc_interp.client.question import Question
 from cnc_interp.client.served_node import ServedNode
+from cnc_interp.machine.jog import JOG
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
 from cnc_interp.nodes.seals import OWNERS, Ear, Heard
@@ -39,14 +40,30 @@ NEEDED = (
     'executed_setpoints',
     'machine_state',
 )
-#: Topics on which the bag must hold every executed setpoint.
-COUNTED = {'executed_setpoints', 'axis_feedback'}
+
+
+def counting(message: Any) -> RunId:
+    """Return what the executed setpoints are counted in: a run, or one motion by hand."""
+    run_id = run_id_of(message)
+    return run_id if run_id.program_id == JOG else RunId(run_id.program_id)
+
+
 #: Streams by topic: name of the numbered items, and how to get run, first number and count.
-NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[Any, int, int]]]]] = {
-    'block_batches': ('blocks', lambda m: [(one, one.sequence, 1) for one in m.blocks]),
-    'segments': ('segments', lambda m: [(one, one.sequence, 1) for one in m.segments]),
-    'setpoints': ('setpoints', lambda m: [(m, m.first_sample, len(m.line_numbers))]),
+NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[RunId, int, int]]]]] = {
+    'block_batches': ('blocks', lambda m: [(run_id_of(b), b.sequence, 1) for b in m.blocks]),
+    'segments': ('segments', lambda m: [(run_id_of(s), s.sequence, 1) for s in m.segments]),
+    'setpoints': ('setpoints', lambda m: [(run_id_of(m), m.first_sample, len(m.line_numbers))]),
+    'executed_setpoints': (
+        'executed setpoints',
+        lambda m: [(counting(m), m.first_sample, len(m.line_numbers))],
+    ),
+    'axis_feedback': (
+        'actual positions',
+        lambda m: [(counting(m), m.first_sample, len(m.positions) // m.axis_count)],
+    ),
 }
+#: Those whose items the machine counts in its state, instead of a receiver.
+EXECUTED = ('executed_setpoints', 'axis_feedback')
 #: Longest wait for the last messages [s]; DDS announces lost messages every 3 s.
 LAST_WAIT = 10.0
 
@@ -62,17 +79,15 @@ class StreamRecord:
         self._received: dict[RunId, tuple[int, int]] = {}
 
     def add(self, message: Any) -> None:
-        for one, first, count in self._numbers(message):
-            run_id = run_id_of(one)
+        for run_id, first, count in self._numbers(message):
             spans = self._spans.setdefault(run_id, [])
             follows = spans and spans[-1][1] == first
             spans.append((spans.pop()[0] if follows else first, first + count))
-            if getattr(one, 'joins', False):
+            if getattr(message, 'joins', False):
                 self._joins[run_id] = first
 
-    def acknowledge(self, status: StreamStatus) -> None:
-        """Note the number that the receiver of the stream has reached; the record needs it too."""
-        run_id, reached = run_id_of(status), int(status.next_sequence)
+    def acknowledge(self, run_id: RunId, reached: int) -> None:
+        """Note a number that the stream has reached; the record needs it too."""
         first, last = self._received.get(run_id, (reached, reached))
         self._received[run_id] = first, max(last, reached)
 
@@ -114,12 +129,9 @@ class Recorder:
         }
         self._known: set[str] = set()
         self._flushed: set[str] = set()
-        #: Number of executed setpoints in the bag, by topic.
-        self._counts = dict.fromkeys(COUNTED & set(topics), 0)
         self._streams = {topic: StreamRecord(topic) for topic in NUMBERED if topic in topics}
-        self._state = b''  # the last one of the machine, serialised
+        self._state: MachineState | None = None  # the last one of the machine
         self._ended: Time | None = None  # when the nodes were asked first
-        self.wanted = 0  #: Number of executed setpoints that the bag must hold.
 
     def _listen(self, topic: str, kind: Any, profile: QoSProfile) -> Any:
         write = self._writing(topic)
@@ -132,11 +144,6 @@ class Recorder:
             if self._subscriptions:  # what was on its way when the record ended comes too late
                 self._bag.write(topic, data, time.time_ns())
 
-        def count(data: bytes) -> None:
-            write(data)
-            message = deserialize_message(data, TOPICS[topic][0])
-            self._counts[topic] += len(message.positions) // message.axis_count
-
         def number(data: bytes) -> None:
             write(data)
             self._streams[topic].add(deserialize_message(data, TOPICS[topic][0]))
@@ -146,14 +153,18 @@ class Recorder:
             status = deserialize_message(data, StreamStatus)
             for record in self._streams.values():
                 if record.name == status.stream:
-                    record.acknowledge(status)
+                    record.acknowledge(run_id_of(status), int(status.next_sequence))
 
         def keep(data: bytes) -> None:
             write(data)
-            self._state = data
+            if self._has_last_state():
+                return  # what the machine executes now is not part of the record
+            self._state = deserialize_message(data, MachineState)
+            for name in EXECUTED:
+                if name in self._streams:
+                    told = counting(self._state), int(self._state.samples)
+                    self._streams[name].acknowledge(*told)
 
-        if topic in COUNTED:
-            return count
         if topic in NUMBERED:
             return number
         if topic == 'stream_status':
@@ -186,16 +197,15 @@ class Recorder:
         for node in self._missing():
             if self._flush[node].answer() is not None:
                 self._flushed.add(node)
-        counted = min(self._counts.values(), default=0) >= self.wanted
-        whole = counted and not any(stream.lost for stream in self._streams.values())
+        whole = not any(stream.lost for stream in self._streams.values())
         return not self._missing() and whole and self._has_last_state()
 
     def _has_last_state(self) -> bool:
         """Return whether a machine state after the end is recorded; states arrive in order."""
-        if not self._state or self._ended is None:
-            return 'machine_node' not in self._known
-        told = deserialize_message(self._state, MachineState).header.stamp
-        return bool(Time.from_msg(told, self._ended.clock_type) > self._ended)
+        if self._state is None or self._ended is None:
+            return self._ended is not None and 'machine_node' not in self._known
+        told = Time.from_msg(self._state.header.stamp, self._ended.clock_type)
+        return bool(told > self._ended)
 
     def _missing(self) -> list[str]:
         return sorted(self._known - self._flushed)

@@ -1,8 +1,7 @@
 """The recorder of a run in its own process, so that work of the terminal cannot delay it.
 
 Over a pipe the recorder reports that it hears every node, and at the end that the bag is complete.
-The run sends the number of setpoints that the bag must hold. A closed pipe means that the other
-process has died.
+The run requests the end. A closed pipe means that the other process has died.
 """
 
 from __future__ import annotations
@@ -62,9 +61,6 @@ def _keep(recorder: Recorder, node: ServedNode, run: Connection) -> None:
         if not ready and recorder.ready():
             ready = True
             _say(run, READY)
-    if recorder.fault is None:
-        with contextlib.suppress(EOFError, OSError):  # the run was killed
-            recorder.wanted = run.recv()
     recorder.finish(node)
     _say(run, WHOLE)
 
@@ -82,7 +78,6 @@ class RecorderProcess:
 
         refuse_existing(path)
         self._path = path
-        self.wanted = 0  #: Number of executed setpoints that the bag must hold.
         self.fault: Exception | None = None  #: Why the record ended before the run.
         self._said: set[str] = set()
         self._pipe, recorder = multiprocessing.Pipe()
@@ -119,7 +114,7 @@ class RecorderProcess:
         """Wait until the recorder has written its last messages; raises if the bag is cut."""
         try:
             with contextlib.suppress(OSError):  # it has ended
-                self._pipe.send(self.wanted)
+                self._pipe.send(WHOLE)
             until = time.monotonic() + LAST_WAIT
             while self.fault is None and WHOLE not in self._said and time.monotonic() < until:
                 self.look(SPIN)

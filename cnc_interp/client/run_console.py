@@ -124,9 +124,6 @@ class RunConsole:
         results: list[RunResult] = []
         for sent in programs:
             outcome = self._result_of(sent)
-            if self._recorder is not None:
-                approach = round(outcome.approach_time / self._client.peers.period)
-                self._recorder.wanted += outcome.samples + approach
             refused = outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples
             if refused and not results:
                 raise InterpError(outcome.message)

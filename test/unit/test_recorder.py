@@ -10,14 +10,16 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from cnc_interp_msgs.msg import (
     G1Block,
     G1BlockBatch,
+    MachineState,
     PathSegment,
     PathSegmentBatch,
     SetpointChunk,
-    StreamStatus,
 )
 
 from cnc_interp.client import run_console
-from cnc_interp.client.recorder import StreamRecord
+from cnc_interp.client.recorder import StreamRecord, counting
+from cnc_interp.machine.jog import JOG
+from cnc_interp.run.run_state import RunId
 
 
 def blocks(first, count):
@@ -65,7 +67,7 @@ def test_what_the_receiver_has_and_the_record_has_not_is_missing():
     """On a busy computer DDS gave a recorder nothing of a second run; nothing was missing."""
     record = StreamRecord('setpoints')
     for reached in (0, 5, 30):
-        record.acknowledge(StreamStatus(program_id='a', stream='setpoints', next_sequence=reached))
+        record.acknowledge(RunId('a'), reached)
     assert record.lost == 30
     record.add(setpoints(5, 20))
     assert record.lost == 10  # the first message of the plan, and the last
@@ -73,9 +75,31 @@ def test_what_the_receiver_has_and_the_record_has_not_is_missing():
     record.add(setpoints(25, 5))
     assert record.lost == 0
     begun_before = StreamRecord('setpoints')
-    begun_before.acknowledge(StreamStatus(program_id='a', next_sequence=100))
+    begun_before.acknowledge(RunId('a'), 100)
     begun_before.add(setpoints(100, 10))
     assert begun_before.lost == 0
+
+
+def test_executed_setpoints_are_missing_until_the_record_has_all_that_the_machine_counts():
+    """A record ended before the last executed setpoints came; they were counted over all runs."""
+    record = StreamRecord('executed_setpoints')
+    record.add(setpoints(0, 500, plan=0))
+    record.acknowledge(counting(MachineState(program_id='a', plan=1)), 490)
+    assert record.lost == 0
+    for attempt in (1, 2):  # each motion by hand counts from 0
+        by_hand = MachineState(program_id=JOG, attempt=attempt, samples=1000)
+        record.acknowledge(counting(by_hand), by_hand.samples)
+        moved = setpoints(0, 1000 if attempt == 1 else 840)
+        moved.program_id, moved.attempt = JOG, attempt
+        record.add(moved)
+    assert record.lost == 160
+    record.acknowledge(counting(MachineState(program_id='a', plan=3)), 700)
+    assert record.lost == 200 + 160
+    record.add(setpoints(500, 200, plan=3))
+    moved.first_sample = 840
+    moved.line_numbers = [1] * 160
+    record.add(moved)
+    assert record.lost == 0
 
 
 @dataclass(frozen=True)

@@ -103,14 +103,18 @@ class JointPassages(Passages[PathAhead]):
         return ready
 
     def _core(self, walk: _Walk, begin: float) -> tuple[float, float] | None:
-        """Return the path lengths at which a path approaches and leaves a singular pose [m]."""
+        """Return the path lengths at which a path approaches and leaves a singular pose [m].
+
+        A segment can hold one stretch, so it is the pose nearest to singular of the first segment.
+        """
         low = (walk.measure < NEAR * NEAR) & (walk.row >= self._open)
         if not low.any():
             return None
-        first = int(low.argmax())
-        after = np.flatnonzero(~low[first:])
-        last = first + int(after[0]) if len(after) else len(low) - 1
-        return float(walk.s[first - 1]) if first else begin, float(walk.s[last])
+        here = low & (walk.row == walk.row[low.argmax()])
+        nearest = int(np.where(here, walk.measure, np.inf).argmin())
+        before, after = np.flatnonzero(~low[:nearest]), np.flatnonzero(~low[nearest:])
+        last = nearest + int(after[0]) if len(after) else len(low) - 1
+        return float(walk.s[before[-1]]) if len(before) else begin, float(walk.s[last])
 
     def _decide(
         self, path: PathAhead, walk: _Walk, core: tuple[float, float], rests: tuple[bool, bool]

@@ -21,6 +21,8 @@ CELL_ERROR = 1e-10  #: Largest error of the septic inside a cell [m or rad];
 THIRD_ERROR = 0.01
 ROUNDING, ROUNDING_PER_METRE = 1e-12, 4e-12
 FINEST_CELL = 1e-10  #: Shorter cells are not divided, because s itself is rounded [m].
+#: Over a longer way, joints may be those of another branch than they would be step by step [m].
+SURE_STEP = 1e-3
 SAME_PARAMETER = 1e-12  #: Parameters nearer than this are the same place.
 WIDEST = 2.0  #: Cells of a machine with errors are at most so many pieces of their tables long.
 MOST_CELLS = 4096  #: A segment is cut into at most this many cells.
@@ -182,19 +184,25 @@ def sample_segments(
             half = segment_axes.arc_length(kind, how, shape, beside, height, length, a, middle)
             inside = Place(way + half, middle, middle)
             q_m, _, _, sine = segment_axes.sample(packed, segment, stands, guide, inside)
+            room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
+            if sine >= least:
+                if free:
+                    stands.q[:] = q_m[0]
+                right_end = Place(way + h, b, middle)
+                end = segment_axes.sample(packed, segment, stands, guide, right_end)
+                q_b, tip, tool, sine = end
+            if sine < least and packed.ndim == 2 and room and h > SURE_STEP:
+                ends[waiting], sine = middle, least  # a nearer start finds the same joints
+                waiting += 1
+                continue
             if sine < least:
                 break
-            if free:
-                stands.q[:] = q_m[0]
-            right_end = Place(way + h, b, middle)
-            q_b, tip, tool, sine = segment_axes.sample(packed, segment, stands, guide, right_end)
-            room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
             c_b, fits = in_machine(packed, errors, q_b), not room
             if room:
                 c_m = in_machine(packed, errors, q_m)
                 fits = septic_fits(c_a, c_b, h, half, c_m, axes, rounding)
                 fits = fits and not too_wide(errors, c_a, c_b)
-            if sine >= least and not fits:
+            if not fits:
                 ends[waiting] = middle
                 waiting += 1
                 continue

@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,19 +11,19 @@ import yaml
 
 import cnc_interp
 from cnc_interp.commands.cli import main
-from cnc_interp.core import BlockError, MachineError, ProgramError, SingularityError
+from cnc_interp.core import MM, BlockError, MachineError, ProgramError, SingularityError
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model import chain_kernels
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine, arms_directory
 from cnc_interp.machine_model.transform_port import Transform
-from cnc_interp.program import open_program
+from cnc_interp.program import open_program, read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.own_chain import OwnChain
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import spin_choice
-from cnc_interp.run.path_chain import segments_of
+from cnc_interp.run.path_chain import PathChain, segments_of
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.run.spin_choice import SpinSearch
 from cnc_interp.settings.options import Settings
@@ -220,6 +221,38 @@ def test_a_joint_leads_past_a_singular_pose_without_a_stop(tmp_path):
     proof = verify_plan(tmp_path / 'out', machine)
     assert proof.ok, proof.failures
     assert not np.load(tmp_path / 'out/path.npz')['stop'][1:-1].any()
+
+
+@pytest.mark.parametrize(
+    ('start', 'way'),
+    [
+        ((-0.2226591, 0.7850721, -0.9200657, 3.0341562, -0.1969919, -2.0361198), (466, 376, 36)),
+        ((0.5674224, 0.0313211, -0.1227815, -1.1538698, -0.2503881, 1.2844783), (233, -517, -195)),
+    ],
+)
+def test_a_long_line_through_the_wrist_is_passed_without_a_stop(start, way):
+    """Newton's method found another branch at the far end of a cell, and the line was refused."""
+    machine = Machine.load('m710ic_50')
+    last, lean = machine.arm.lines[-1], np.pi / 4.0
+    across = np.cross(last[:3], [0.0, 1.0, 0.3])
+    across /= np.linalg.norm(across)
+    axis = -np.cos(lean) * last[:3] - np.sin(lean) * across
+    side = np.cross(axis, last[:3]) / np.sin(lean)
+    tool = np.array([last[3:] + 0.2 * last[:3] + 0.1 * across, side, axis])
+    chain = JointChain.of(replace(machine, arm=replace(machine.arm, tool=tool)))
+    q = np.array(start)
+    (tip,), (axis,) = chain.forward(q[None])
+    chain = chain.spun(spin_of(chain, q, axis)).starting(q)
+    from_to = np.array([tip, tip + 0.6 * np.array(way) / np.linalg.norm(way)]) / MM
+    lines = [f'GOTO/{",".join(f"{x:.9f}" for x in (*point, *axis))}' for point in from_to]
+    program = read_text('\n'.join(['FEDRAT/36000', *lines, 'FINI']), 'p.apt', chain, Settings())
+    path_chain = PathChain(chain, Settings())
+    parts = [path_chain.push(program.blocks).path, path_chain.finish().path]
+    path = AxisPath.join([part for part in parts if part is not None])
+    assert path.q[:, 4].min() < 0.0 < path.q[:, 4].max() or np.abs(path.q[:, 4]).min() < 0.05
+    assert not path.stop[1:-1].any()
+    tips, axes = chain.forward(path.q)
+    assert np.abs(tips - path.tip).max() < 1e-9 and np.abs(axes - path.axis).max() < 1e-9
 
 
 def test_a_joint_leads_alike_however_the_blocks_arrive(tmp_path):

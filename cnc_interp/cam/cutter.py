@@ -83,7 +83,7 @@ class Postures:
 
     @property
     def turned(self) -> tuple[FloatArray, FloatArray]:
-        """Feed and across direction, turned by the yaw about n."""
+        """Feed direction and direction across it, turned by the yaw about n."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         f, t = self.frames.feed, self.frames.across
         return scaled(c, f) - scaled(s, t), scaled(c, t) + scaled(s, f)

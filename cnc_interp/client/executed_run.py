@@ -324,7 +324,7 @@ def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[s
         lacking = begun - {m.sequence for m in run.followed}
         if lacking and not run.cut:
             line = run.blocks[min(lacking)].line_number
-            faults.append(f'the record has no followed_spindle of line {line}: nothing proves it')
+            faults.append(f'the record has no followed_spindle for line {line}: nothing proves it')
     return faults
 
 

@@ -26,7 +26,7 @@ class Question:
         self._sent_at = -math.inf
 
     def answer(self) -> Any | None:
-        """Return the response, or None so far; to be called repeatedly."""
+        """Return the response, None while there is none; call it repeatedly."""
         for future in self._sent:
             if future.done():
                 self.drop()

@@ -170,7 +170,7 @@ class RunConsole:
             silent = self._client.silent_for(SILENCE)
             raise InterpError(f'{silent} does not answer; is another ROS middleware set?')
         if not self._spin(recorder.ready, RECORD_TIMEOUT):
-            raise InterpError('not all topics of the run can be heard; run it again')
+            raise InterpError('not all topics of the run can be received; run it again')
 
     def _send(self, program: Path) -> SentProgram:
         sent = self._client.run(goal_of(program, self._request.settings))

@@ -52,7 +52,9 @@ class SentSetpoints:
             run_id, first = run_id_of(message), message.first_sample
             known = self._places[run_id].setdefault(first, place)
             if known != place and not _same(self._messages[known], message):
-                self.faults.append(f'setpoint {first} of {run_id} was sent in two ways')
+                self.faults.append(
+                    f'setpoint {first} of {run_id} was sent twice with different values'
+                )
             settings = settings_of_plan(message)
             if self.settings.setdefault(run_id, settings) != settings:
                 self.faults.append(f'{run_id} was planned with two settings of the operator')

@@ -42,14 +42,14 @@ def add_batch_commands(commands: Any) -> None:
         ),
         option(
             '--out',
-            'folder for table, page and results; a second start goes on from them',
+            'folder for table, page and results; a second start continues from them',
             Path,
             'DIR',
             required=True,
         ),
         workers_option('programs that are planned at the same time'),
         option('--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS'),
-        flag('--keep-plans', 'keep the plan files of all, in DIR/plans'),
+        flag('--keep-plans', 'keep the plan files of all programs in DIR/plans'),
         option('--rate', 'what an hour of the machine costs', positive, 'COST'),
         option(
             '--memory',
@@ -92,7 +92,7 @@ def add_batch_commands(commands: Any) -> None:
 
 
 def batch_command(options: argparse.Namespace) -> int:
-    """Plan and prove many programs on one or more machines; writes one table and one page."""
+    """Plan and prove many programs on one or more machines; write one table and one page."""
     import json
 
     from cnc_interp.batch.batch_page import write_page, write_tables
@@ -180,7 +180,7 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
 
 
 def sweep_command(options: argparse.Namespace) -> int:
-    """Try many values of options of `plan` or `cam iso-scallop`; tells the fastest and why."""
+    """Try many values of options of `plan` or `cam iso-scallop`; report the fastest and why."""
     from cnc_interp.batch import sweep as points
     from cnc_interp.batch.processes import Processes, total_memory
     from cnc_interp.core.progress_bar import ProgressBar

@@ -27,7 +27,7 @@ def add_check_commands(commands: Any) -> None:
         option('--machine', 'another machine than the plan names', metavar='M'),
         option(
             '--program',
-            'read the program again by a second reader, and compare it with the plan',
+            'read the program again with a second reader, and compare it with the plan',
             Path,
             'FILE',
         ),
@@ -40,7 +40,7 @@ def add_check_commands(commands: Any) -> None:
         option('directory', 'folder with plan files, or a bag', Path, 'DIR'),
         option('--machine', 'another machine than the plan names', metavar='M'),
         option('--out --html', 'page to write (DIR/report.html)', Path, 'FILE'),
-        option('--compare', 'another plan to set beside the first', Path, 'DIR2'),
+        option('--compare', 'another plan to compare with the first', Path, 'DIR2'),
     )
 
 
@@ -83,7 +83,10 @@ def prove_runs(options: Namespace) -> Iterator[Any]:
     with Bag(options.directory) as bag:
         programs = programs_of(bag) or [['']]
     if len(programs[-1]) > 1 and options.program is not None:
-        raise InterpError('a program with probes went on by what they told; leave out --program')
+        raise InterpError(
+            'a program that continues with what its probes measured cannot be compared; '
+            'leave out --program'
+        )
     for program in programs:
         text = options.program if program is programs[-1] else None
         for run in program:
@@ -130,7 +133,7 @@ def report_command(options: Namespace) -> int:
 
     options.out = page = options.out or options.directory / 'report.html'
     if is_bag(options.directory) and options.compare:
-        raise InterpError('--compare sets two folders of plan files side by side, not bags')
+        raise InterpError('--compare compares folders of plan files, not bags')
     if is_bag(options.directory):
         with run_files(options.directory, options.machine) as (folder, name, *_):
             write_report(folder, page, Machine.load(name))
@@ -185,8 +188,8 @@ def add_bag_commands(commands: Any) -> None:
             'compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same',
         ),
         option('--machine', 'another machine than the bag names', metavar='M'),
-        option('--rate', 'times as fast as it was (1)', positive, 'X', default=1.0),
-        flag('--clock', 'publish the time of the bag too'),
+        option('--rate', 'speed of playback (1: as recorded)', positive, 'X', default=1.0),
+        flag('--clock', 'also publish the time of the bag'),
         _namespace('to publish in'),
     )
     command(
@@ -203,7 +206,7 @@ def _namespace(purpose: str) -> Adds:
 
 
 def record_command(options: Namespace) -> int:
-    """Record what running nodes say into a bag (rosbag2, MCAP), until Ctrl-C."""
+    """Record the messages of running nodes into a bag (rosbag2, MCAP), until Ctrl-C."""
     from cnc_interp.client.recorder import record
 
     count = record(options.bag, options.namespace)
@@ -229,7 +232,7 @@ def replay_command(options: Namespace) -> int:
 
 
 def repair_command(options: Namespace) -> int:
-    """Write what the bag of a killed recorder holds as a sound bag."""
+    """Write the messages of a bag whose recorder was killed as a sound bag."""
     from cnc_interp.client.bag import repair
 
     count, duration = repair(options.bag, options.out)

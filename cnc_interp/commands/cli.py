@@ -77,7 +77,7 @@ def _told(problem: OSError, options: argparse.Namespace | None) -> str:
     place = problem.filename or getattr(options, 'out', None) or getattr(options, 'record', None)
     reason = problem.strerror or str(problem)
     if isinstance(problem, FileExistsError | NotADirectoryError):
-        reason = 'a file stands where a folder must be; name another folder'
+        reason = 'this is a file where a folder is needed; name another folder'
     if isinstance(problem, IsADirectoryError):
         reason = 'it is a folder; name a file'
     if problem.errno == errno.ENOSPC and not place:  # semaphores of processes have no name
@@ -145,7 +145,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def completion_command(options: argparse.Namespace) -> int:
-    """Print what a shell completes, or the man page."""
+    """Print the completion script of a shell, or the man page."""
     if options.kind == 'man':
         from argparse_manpage.manpage import Manpage
 

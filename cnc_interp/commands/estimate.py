@@ -31,7 +31,7 @@ def add_estimate_command(commands: Any) -> None:
 
 
 def estimate_command(options: argparse.Namespace) -> int:
-    """Tell how long a program takes on a machine, by tool and operation; writes no plan files."""
+    """Report how long a program takes on a machine, by tool and operation; write no plan files."""
     from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.machine_model.transform_port import Transform

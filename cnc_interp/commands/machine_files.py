@@ -92,7 +92,7 @@ def urdf_command(options: Namespace) -> int:
 
 
 def new_command(options: Namespace) -> int:
-    """Ask for the layout, the axes and their limits, write a machine file and show the machine."""
+    """Ask for layout, axes and limits of a machine, write its file and show it."""
     import yaml
 
     from cnc_interp.convert.machine_questions import ask_machine, shown
@@ -100,7 +100,7 @@ def new_command(options: Namespace) -> int:
 
     if options.file.exists():
         raise InterpError(f'{options.file} exists; give the name of a new file')
-    print('Press Enter to keep what is in brackets.')
+    print('Press Enter to accept the value in brackets.')
     try:
         content = ask_machine(input, print)
     except EOFError:

@@ -50,7 +50,7 @@ def add_operate_commands(commands: Any) -> None:
         ),
         option(
             '--speed',
-            'part of the largest velocities of the axes (100)',
+            'share of the largest velocities of the axes (100)',
             positive,
             'PERCENT',
             default=100.0,
@@ -69,7 +69,7 @@ def add_operate_commands(commands: Any) -> None:
             metavar='AXIS VALUE',
             nargs='*',
         ),
-        flag('--clear', 'remove the values it had before'),
+        flag('--clear', 'remove its previous values'),
         flag('--use', 'make it the active one'),
         *shown,
     )
@@ -86,8 +86,8 @@ def add_operate_commands(commands: Any) -> None:
             float,
             'MM',
         ),
-        option('--length-wear', 'what is added to its length', float, 'MM'),
-        option('--radius-wear', 'what is added to its radius', float, 'MM'),
+        option('--length-wear', 'wear that is added to its length', float, 'MM'),
+        option('--radius-wear', 'wear that is added to its radius', float, 'MM'),
         option(
             '--flute',
             'height of the part that cuts; 0: all of it below the holder',
@@ -103,15 +103,15 @@ def add_operate_commands(commands: Any) -> None:
         ),
         option(
             '--import',
-            'take the tools of a tool.tbl of LinuxCNC, or of a CSV file',
+            'read the tools from a tool.tbl of LinuxCNC, or from a CSV file',
             Path,
             'FILE',
             dest='from_file',
         ),
         option('--export', 'write the table, as CSV or tool.tbl by its name', Path, 'FILE'),
         flag('--inch', 'lengths in these files are in inches'),
-        flag('--remove', 'take it out of the table'),
-        flag('--load', 'it is in the spindle; 0: none is'),
+        flag('--remove', 'remove the tool from the table'),
+        flag('--load', 'the tool is in the spindle; 0: no tool is'),
         *shown,
     )
     command(
@@ -120,7 +120,7 @@ def add_operate_commands(commands: Any) -> None:
         'touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55',
         option(
             'words',
-            'letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated',
+            'letter of an axis, and the value that its coordinate gets [mm, deg]; may be repeated',
             metavar='AXIS VALUE',
             nargs='+',
         ),
@@ -149,7 +149,7 @@ def add_operate_commands(commands: Any) -> None:
         option('cycle', 'what to find', metavar='CYCLE', nargs='?', default=''),
         option(
             'words',
-            'what the cycle is told, and its value; may be repeated',
+            'parameter of the cycle, and its value; may be repeated',
             metavar='NAME VALUE',
             nargs='*',
         ),
@@ -234,7 +234,7 @@ def home_command(options: argparse.Namespace) -> int:
 
 
 def mdi_command(options: argparse.Namespace) -> int:
-    """Have lines of G-code executed by a running machine, from where it stands."""
+    """Execute lines of G-code on a running machine, from its present position."""
     from cnc_interp.client.hand_move import give_lines
     from cnc_interp.program.notices import tell
 
@@ -252,7 +252,7 @@ def mdi_command(options: argparse.Namespace) -> int:
 
 
 def probe_command(options: argparse.Namespace) -> int:
-    """Have a running machine find a place with its probe, and set the work offset there."""
+    """Find a place with the probe of a running machine, and set the work offset there."""
     from cnc_interp.program.motion.probing import cycles
 
     cycle = cycles().get(options.cycle)
@@ -349,7 +349,7 @@ def _tool_files(options: argparse.Namespace) -> int:
 
 
 def touch_off_command(options: argparse.Namespace) -> int:
-    """Set a work offset so that coordinates read given values where the axes stand."""
+    """Set a work offset so that coordinates have given values at the present position."""
     return _do(options, 'touch_off', {'offset': options.offset.upper()}, pairs(options.words))
 
 

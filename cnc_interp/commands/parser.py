@@ -110,7 +110,9 @@ def drives_option() -> Adds:
 
 
 def page_options() -> tuple[Adds, ...]:
-    text = 'holds what commands from the page need (default: a random token is printed)'
+    text = (
+        'file with the token that commands from the page need (default: a random token is printed)'
+    )
     return (
         option('--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1'),
         option('--port', 'its port, 0 for any free one (8650)', int, default=8650),

@@ -31,11 +31,11 @@ def add_plan_command(commands: Any) -> None:
         'plan examples/pyramid.apt --out out/pyramid',
         *parser.program_options(),
         option('--out', 'folder for the plan files', Path, 'DIR', required=True),
-        flag('--look', 'draw the feed profile in text, as a terminal always gets it'),
-        flag('--save-stock', 'write the stock that is left as stock.stl among the plan files'),
+        flag('--look', 'draw the feed profile as text, also where the output is not a terminal'),
+        flag('--save-stock', 'write the remaining stock as stock.stl among the plan files'),
         option(
             '--stock-stages',
-            'write stock_stages.npz: what is left of the stock at so many places of the path',
+            'write stock_stages.npz: the remaining stock at so many places of the path',
             int,
             'N',
             default=0,
@@ -52,7 +52,7 @@ def add_plan_command(commands: Any) -> None:
         ),
         option(
             '--limits',
-            'of an arm, also limits that its files do not have; every report names them',
+            'guess the limits that the files of an arm lack; every report names them',
             choices=('known', 'guess'),
             default='known',
         ),
@@ -230,10 +230,10 @@ def add_run_command(commands: Any) -> None:
         option('--record', 'record all messages of the run into a bag', Path, 'BAG'),
         flag(
             '--pass-stops',
-            'go on without cycle start: at M0, M1 and single blocks, before the plunge of '
+            'continue without cycle start: at M0, M1 and single blocks, before the plunge of '
             '--from-line, and with simulated drives at M6 without a tool changer',
         ),
-        flag('--panel', 'the operator page beside it, until Ctrl-C'),
+        flag('--panel', 'show the operator page as well, until Ctrl-C'),
         *parser.page_options(),
     )
 
@@ -243,7 +243,9 @@ def add_panel_command(commands: Any) -> None:
         commands,
         panel_command,
         'panel examples/pyramid.ngc',
-        option('program', 'program to lay on the desk', parser.program_file, 'PROGRAM', nargs='?'),
+        option(
+            'program', 'program that the page loads', parser.program_file, 'PROGRAM', nargs='?'
+        ),
         parser.machine_option(),
         parser.drives_option(),
         option('--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE'),

@@ -28,8 +28,8 @@ ABOUT = {'A': [1, 0, 0], 'B': [0, 1, 0], 'C': [0, 0, 1]}
 OF_AXES = {
     'BACKLASH': 'play is not compensated',
     'MIN_FERROR': 'the limit of the following error does not depend on the velocity',
-    'HOME': 'an axis stays where it has found its switch',
-    'HOME_FINAL_VEL': 'an axis stays where it has found its switch',
+    'HOME': 'an axis stays where it found its switch',
+    'HOME_FINAL_VEL': 'an axis stays where it found its switch',
     'HOME_LATCH_VEL': 'an axis leaves its switch with 1 % of its velocity',
     'HOME_ABSOLUTE_ENCODER': 'absolute encoders are not read',
     'HOME_IS_SHARED': 'each axis needs a switch of its own',

@@ -155,9 +155,9 @@ def spreads_of(
     With J = Q R and P = R^-1 Q^T the covariance is P S P^T. S has two parts, whose common diagonal
     counts once: errors near in time, by the autocorrelation of the residual; and errors at one
     place. The rounding of a measuring system is the same whenever the axis stands there, and does
-    not average out. Places nearer than half the residual are one. The fit follows the errors of
-    a place that weighs much, so the residual there is too small by I - Q_g Q_g^T, which the scores
-    make good (as the jackknife does).
+    not average out. Places closer together than half the residual count as one. A place with much
+    weight pulls the fit towards its errors, so the residual there is too small by I - Q_g Q_g^T;
+    the scores correct this (as the jackknife does).
     """
     ortho, triangle = np.linalg.qr(jacobian)
     to_fitted, count = np.linalg.pinv(triangle), len(residual)
@@ -297,7 +297,7 @@ def with_drives(
     """Write drives, loads and half of the 95 % intervals [SI] into the text of a machine file."""
     parts = [_without_sections(text).rstrip('\n'), '']
     if loads:
-        parts += ['# What the drives move and overcome.', 'loads:']
+        parts += ['# Inertia, torque and friction of the axes.', 'loads:']
         for j, load in sorted(loads.items()):
             keys = axis_drives.LINEAR_KEYS if machine.is_linear[j] else axis_drives.ROTARY_KEYS
             values = zip(keys, vars(load).values(), strict=True)
@@ -365,7 +365,7 @@ def _moves(axis: Axis) -> Iterator[tuple[float, float]]:
     v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
     room = ROOM * min(abs(axis.travel[0]), abs(axis.travel[1]))
     if not room > 0.0:
-        raise MachineError('stands at the end of its travel; move it to the middle', axis.name)
+        raise MachineError('is at the end of its travel; move it to the middle', axis.name)
 
     def length(speed: float) -> float:
         ramp = max(speed / a + a / j, 2.0 * np.sqrt(speed / j))

@@ -1,4 +1,4 @@
-"""The squared speed from which a path can be driven on, node by node: linear programs of toppra.
+"""The largest squared speed from which the rest of a path can be driven: toppra's linear programs.
 
 The backward pass of TOPP-RA [PP2018, Algorithm 1] with ``seidel``. The unknowns of a step are
 b = s_dot^2 at its start and its change, over the largest b: within 1, whatever the unit of length.

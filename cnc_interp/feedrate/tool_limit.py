@@ -1,8 +1,8 @@
 """A limit on the error that the drives leave at the tool: rows for the jerk stage, and a check.
 
-In slow motion the axes are off by e = c1 q' + c2 q'' - sign(q') away (``drives/tool_error.py``),
-and the tip by J e with J = dp/dq. What counts is the part across the path, in the normals n of the
-tip's way. With q' = q_s s_dot and q'' = q_s s_ddot + q_ss s_dot^2, the row of a normal is
+In slow motion the axes have the error e = c1 q' + c2 q'' - sign(q') away, and the tip the error
+J e with J = dp/dq (``drives/tool_error.py``). Only its part across the path counts, along normals
+n of the tip's way. With q' = q_s s_dot and q'' = q_s s_ddot + q_ss s_dot^2, a normal has the row
 
     |n J (c2 q_s) s_ddot + n J (c2 q_ss) b + n J (c1 q_s) s_dot - n J (sign(q_s) away)| <= E.
 

@@ -92,7 +92,7 @@ class Controls:
             self._refuse_beside_homing()
             silence = self._jog.beat(shares, message.tool, time.monotonic())
             if silence:
-                told = f'the axes stopped: the held key was not heard for {silence:.1f} s'
+                told = f'the axes stopped: no message of the held key for {silence:.1f} s'
                 self._warn(f'{told}; the computer or the network is busy')
             else:
                 self._diagnostics.say('jog', OK, 'follows jog')

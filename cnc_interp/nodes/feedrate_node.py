@@ -78,8 +78,8 @@ WORK_PERIOD = 0.005  #: Time between checks of the planning thread [s].
 #: direction between two processes.
 DEAF = 20.0
 AGAIN = 'start the nodes again, then the program'
-UNHEARD = f'machine_node does not hear the setpoints; {AGAIN}'
-SILENT = f'feedrate_node does not hear machine_node; {AGAIN}'
+UNHEARD = f'machine_node does not receive the setpoints; {AGAIN}'
+SILENT = f'feedrate_node does not receive messages of machine_node; {AGAIN}'
 WAITS = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_NEW_PLAN)
 DIAGNOSTICS_PERIOD = 1.0  #: Time between diagnostics of the planning [s].
 

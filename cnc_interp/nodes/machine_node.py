@@ -166,7 +166,7 @@ class MachineNode(LifecycleNode):
         if chunk.joins:
             before = playback.before_join(run_id, number)
         if begins and playback.plans.begins_elsewhere(first):
-            text = 'the plan begins where the axes do not stand: they moved, or machine_node was'
+            text = 'the plan does not begin where the axes are: they moved, or machine_node was'
             raise StreamError(f'{text} started again; run the program again', Refusal.GIVEN_UP)
         check_chunk(chunk, playback.axes.machine, self._period, before)
         if chunk.joins:

@@ -71,7 +71,7 @@ class Activity(Enum):
 
 class Change(Enum):
     BEGIN = 'the first segment of a run came'
-    PLACE = 'the machine told where it rests'
+    PLACE = 'the machine reported where it rests'
     REVISE = 'the operator changed a setting'
     JOIN = 'the plan with other settings is in time'
     RESUME = 'the machine left the plan and rests'

@@ -65,7 +65,7 @@ class Tool:
     @property
     def fault(self) -> str:
         if min(self.radius, self.radius + self.radius_wear) < 0.0:
-            return 'the radius must not be below 0, with its wear neither'
+            return 'the radius must not be below 0, with or without its wear'
         if not 0 <= self.pocket <= MOST_TOOL:
             return f'the pocket must be from 1 to {MOST_TOOL}, or 0 for none'
         if not 0.0 <= (self.corner_radius or 0.0) <= self.radius:

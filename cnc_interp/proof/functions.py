@@ -58,7 +58,7 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     at_end = sample == count
     demand(~came | (here >= block) | at_end, 'came out before its block')
     late = np.where(at_end, here >= block, (sample > 0) & (before >= block))
-    demand(~came | ~late, 'came out after the begin of its block')
+    demand(~came | ~late, 'was executed after the beginning of its block')
     waiting = np.array([each.rests for each in signals.steps], dtype=np.bool_)[step]
     ahead = (block > 1) & (block < len(plan.blocks['tip'])) & waiting
     rests = plan.blocks['exact_stop'][np.clip(block - 1, 0, len(plan.blocks['tip']) - 1)]

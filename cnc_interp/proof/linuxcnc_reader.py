@@ -169,7 +169,7 @@ def _prepared(text: str, skip: bool, setup: Setup) -> str:
     """Return the text for rs274; a first line moves the tool to the workpiece zero."""
     text = (_BLANK if skip else _SLASH).sub('', _COMMENT.sub(' ', text.replace('\r', '')))
     if '(' in text or ';' in text or ')' in text:
-        raise LinuxCNCError("LinuxCNC's rs274 does not get a comment within a comment")
+        raise LinuxCNCError("LinuxCNC's rs274 does not read a comment within a comment")
     text = _SWITCH.sub(lambda word: f'({word[1].upper()})', _LEFT_OUT.sub('', text))
     stands = 'G98\nG53 G0 X{:.9f} Y{:.9f} Z{:.9f}\nG80\n'.format(*(setup.zero / MM))
     stands += f'T{setup.tool} M6\n' if setup.tool else ''

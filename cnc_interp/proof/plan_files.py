@@ -384,7 +384,7 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
             wanted = {*declared, *(PATH_CELLS if 'q' in declared else ())}
             unknown = sorted(set(archive.files) - wanted)
             if unknown:
-                raise _unsound(file, f'nothing is known of column {unknown[0]!r}')
+                raise _unsound(file, f'unknown column {unknown[0]!r}')
             whole = declared in (BLOCK_COLUMNS, *SELDOM.values())
             stored = {} if whole else _stored(file)
             columns = {

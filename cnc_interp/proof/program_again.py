@@ -87,7 +87,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     inside = 'the plan starts inside the program; compare a plan from its top'
     demand(not plan.starts_inside, inside)
     told = not settings.get('setup') or bool(plan.summary.get('setup'))
-    demand(told, 'the plan does not tell the values of its setup, so it cannot be compared')
+    demand(told, 'the plan does not contain the values of its setup, so it cannot be compared')
     setup = second.setup_of(plan.summary.get('setup'), machine)
     try:
         with program.open('rb') as file:

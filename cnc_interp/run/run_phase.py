@@ -23,10 +23,10 @@ class PhaseChange(Enum):
     CHECKED = 'it is known to run'
     STALE = 'offsets or tools were changed after the check'
     START = 'all nodes answer and the machine rests'
-    TAKEN = 'look-ahead and planner are on the run'
+    TAKEN = 'look-ahead and planner have taken the run'
     LOSE = 'a node was restarted'
     BEGIN_AGAIN = 'the program is sent once more'
-    READ_ON = 'a probe has answered, what follows is read'
+    READ_ON = 'a probe has answered; the lines after it are read'
     END = 'there is a result'
 
 

@@ -47,7 +47,7 @@ class Settings:
     interpolation: str = kinds.one_of(
         ('auto', 'vector', 'axes'),
         READING,
-        'between blocks: vector (great circle), axes (linear in them), auto (as programmed)',
+        'tool axis between blocks: vector (great circle), axes (linear), auto (as programmed)',
     )
     rotary_sense: str = kinds.one_of(
         ('programmed', 'shortest'),
@@ -153,7 +153,7 @@ class Settings:
         metavar='M',
     )
     learnt: Path | None = kinds.file(  # noqa: RUF009 (a field)
-        MOTION, 'what earlier runs taught, added to the compensation; `learn` writes it'
+        MOTION, 'correction learnt from earlier runs, added to the compensation; `learn` writes it'
     )
     tool_error: float | None = kinds.number(
         None,

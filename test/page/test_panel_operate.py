@@ -280,7 +280,7 @@ def test_what_delays_or_ends_the_motion_of_a_held_key_is_told(panel, pad):
     os.kill(panel.page.process.pid, signal.SIGSTOP)
     time.sleep(2 * LATE)
     os.kill(panel.page.process.pid, signal.SIGCONT)
-    tab.wait(lambda: 'the axes stopped: the held key' in str(tab.run('told')))
+    tab.wait(lambda: 'the axes stopped: no message of the held key' in str(tab.run('told')))
     tab.pointer('release', x, y, device)
     rests(panel, tab)
     # The page is busy from the press on.

@@ -460,7 +460,7 @@ def test_a_thread_without_its_spindle_is_found(held):
     assert faults_of(record, recorded_run(record), machine) == []
     record.without(record.read('followed_spindle'))
     (fault,) = faults_of(record, recorded_run(record), machine)
-    assert 'no followed_spindle of line' in fault
+    assert 'no followed_spindle for line' in fault
 
 
 def write_runs(folder, record, changes):

@@ -326,9 +326,13 @@ def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_to
 @pytest.mark.parametrize(
     ('fault', 'moves', 'told'),
     [
-        (faulty_node.live_deaf, True, 'machine_node does not hear the setpoints'),
-        (faulty_node.live_deaf, False, 'machine_node does not hear the setpoints'),
-        (faulty_node.live_unaware, False, 'feedrate_node does not hear machine_node'),
+        (faulty_node.live_deaf, True, 'machine_node does not receive the setpoints'),
+        (faulty_node.live_deaf, False, 'machine_node does not receive the setpoints'),
+        (
+            faulty_node.live_unaware,
+            False,
+            'feedrate_node does not receive messages of machine_node',
+        ),
     ],
 )
 def test_a_run_of_nodes_that_do_not_hear_each_other_ends(

@@ -149,8 +149,11 @@ def test_a_first_part_is_touched_milled_tapped_and_proven(run, tmp_path, capsys)
 @pytest.mark.parametrize(
     ('line', 'told'),
     [
-        ('G38.2 Z0 F1200', 'line 3: G38.2: the probe has not answered to the end of the line'),
-        ('G38.2 Z-20 F1200\nG38.2 Z-25', 'line 4: G38.2: the probe had answered before it moved'),
+        ('G38.2 Z0 F1200', 'line 3: G38.2: the probe made no contact up to the end of the line'),
+        (
+            'G38.2 Z-20 F1200\nG38.2 Z-25',
+            'line 4: G38.2: the probe was in contact before it moved',
+        ),
         ('G38.2 Z-20 F1200\nG0 X[1/0]', 'part.ngc:4: X: the expression has no value'),
     ],
 )

@@ -171,7 +171,7 @@ def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
         ('no_feed.ngc', 'G90\nG1 X0\nG1 X10\n', ':3: no feedrate (F)'),
         ('arc.ngc', 'F1000\nG1 X0 Y0\nG2 X10 I4\n', ':3: G2: start and end differ'),
         ('letter.ngc', 'F1000\nG1 X0\nG1 X1O\n', ':3: O: a letter without a number'),
-        ('zero.ngc', 'F1000\nGO X0\n', ':2: GO: the letter O stands where a number must'),
+        ('zero.ngc', 'F1000\nGO X0\n', ':2: GO: the letter O where a digit is expected'),
         ('comma.ngc', 'F1000\nG1 X0\nG1 X30,5\n', ':3: ,5: a decimal comma; write a point'),
         ('binary.ngc', 'G1\x01\x02\x03' * 200 + '\n' * 9, ': this is no text'),
         (
@@ -226,7 +226,7 @@ def test_a_file_in_the_place_of_a_folder_is_named(tmp_path, capsys):
     for out in (file, file / 'plan'):
         assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', str(out)]) == BAD_INPUT
         assert capsys.readouterr().err == (
-            f'cnc-interp: {file}: a file stands where a folder must be; name another folder\n'
+            f'cnc-interp: {file}: this is a file where a folder is needed; name another folder\n'
         )
 
 
@@ -256,7 +256,7 @@ def test_missing_things_get_one_line(tmp_path, capsys):
     for arguments, says in (
         (['plan', 'nowhere.ngc', '--out', str(tmp_path)], 'nowhere.ngc: cannot be opened'),
         (['plan', program, '--machine', 'hermle', '--out', str(tmp_path)], "no machine 'hermle'"),
-        (['plan', program, '--out', str(blocked / 'plan')], 'a file stands where'),
+        (['plan', program, '--out', str(blocked / 'plan')], 'this is a file where'),
         (['check', str(tmp_path)], 'summary.json: cannot be read'),
         (['report', str(tmp_path)], 'summary.json: cannot be read'),
     ):
@@ -295,7 +295,7 @@ def test_folders_of_what_is_written_are_made(tmp_path, capsys):
     words = ['identify', str(tmp_path / 'bag'), '--out', str(tmp_path / 'file' / 'm.yaml')]
     assert main(words) == 2
     told = capsys.readouterr().err
-    assert 'a file stands where a folder must be' in told and told.count('\n') == 1
+    assert 'this is a file where a folder is needed' in told and told.count('\n') == 1
 
 
 def test_the_model_of_another_machine_compensates_nothing():

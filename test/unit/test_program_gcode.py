@@ -176,7 +176,7 @@ def test_a_stop_before_the_first_motion_is_waited_for_before_anything_moves(text
     stream = open_program(file, TableAC(), Settings())
     program = stream.read()
     assert not program.blocks.program_stop.any() and stream.waits_first == waits
-    told = 'waits for cycle start before it goes' if waits else 'before the first motion nothing'
+    told = 'waits for cycle start before it goes' if waits else 'no wait before the first motion'
     assert any(told in notice for notice in program.notices)
 
 

@@ -27,7 +27,7 @@ def test_all_lines_are_refused_at_once_in_their_order():
     assert str(error).splitlines() == [
         'part.ngc:2: Q5: this word has no meaning here (also lines 5, 8)',
         'part.ngc:4: G12.7: this G code is not supported; post without it',
-        'part.ngc:6: FOO: the letter O stands where a number must; write F00 with the digit 0',
+        'part.ngc:6: FOO: the letter O where a digit is expected; write F00 with the digit 0',
     ]
     assert (error.line_number, error.word, error.source) == (2, 'Q5', 'part.ngc')
     assert [one.line_number for one in error.errors] == [2, 4, 6]

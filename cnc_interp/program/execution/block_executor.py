@@ -111,7 +111,7 @@ def _unknown(at: Execution, key: str) -> ProgramError:
         unknown = f'unknown word; is it {near[0]}? It may move the tool'
     if re.fullmatch(r'[A-Z]O+', key):
         zero = key.replace('O', '0')
-        unknown = f'the letter O stands where a number must; write {zero} with the digit 0'
+        unknown = f'the letter O where a digit is expected; write {zero} with the digit 0'
     return at.fault(codes.refused_key(key) or unknown, key, DependsOn.LINE)
 
 

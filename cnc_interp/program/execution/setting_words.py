@@ -106,7 +106,9 @@ def no_effect(at: Execution, code: str, words: BlockWords) -> None:
 
 def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
     mover = at.mover
-    at.refuse_if(not at.whole and code != 'G40', 'looks ahead; run it in a program', code)
+    at.refuse_if(
+        not at.whole and code != 'G40', 'needs the lines after it; run it in a program', code
+    )
     if code == 'G40':
         if not mover.radius_code:
             at.notice(code, 'nothing to switch off')

@@ -405,7 +405,9 @@ class ModalState(ModalValues):
         words = self.geometry.machine.signals.words
         told = 'feed in, feed out; the spindle is not synchronised'
         if self.follows:
-            told = 'in step with the spindle; R must leave the way that it needs to get there'
+            told = (
+                'in step with the spindle; R must leave the way that the axes need to get in step'
+            )
         elif {'M3', 'M4'} <= words.keys():
             told = 'for a floating holder: feed in, the spindle is reversed, feed out'
         self.notice(code, told)

@@ -88,7 +88,7 @@ class ArcTargets(ModalState):
             return offset, radius
         self.notice(
             'WARNING: arcs without I J K and R',
-            'those of the arc before are taken; some controls go straight',
+            'those of the previous arc are used; some controls move straight',
         )
         return found
 
@@ -102,7 +102,7 @@ class ArcTargets(ModalState):
                 if other and self._fits(target, offset, absolute, plane):
                     what = 'WARNING: arcs in another plane than the active one'
                     self.notice(
-                        what, 'their letters I J K tell it; most controls need G17, G18 or G19'
+                        what, 'the plane follows from I J K; most controls need G17, G18 or G19'
                     )
                     return plane
         return self.plane

@@ -131,7 +131,9 @@ class Mover(ArcTargets):
         moves = np.abs(along) > SAME_AXIS
         room = ((np.where(along > 0.0, high, low) - q) / np.where(moves, along, nan))[moves].min()
         if distance is None and not room < inf:
-            raise self.fault('no travel in the machine file ends it; write M140 MB 50', 'MB MAX')
+            raise self.fault(
+                'the machine file has no travel that would end it; write M140 MB 50', 'MB MAX'
+            )
         distance = max(room - _SHORT, 0.0) if distance is None else distance
         point = self.point + distance * (along if self.by_axes else self.tool_axis)
         if self.targets.empty or not feed:

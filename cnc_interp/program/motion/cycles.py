@@ -247,7 +247,9 @@ class CannedCycle:
         start = place
         if self.code == 'G87':
             if hole.shift is None:
-                mover.notice('WARNING: G87 without a shift', 'it goes to R and back in the bore')
+                mover.notice(
+                    'WARNING: G87 without a shift', 'the tool moves to R and back inside the bore'
+                )
             else:
                 start = place.copy()
                 start[:3] += hole.shift

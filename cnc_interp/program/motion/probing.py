@@ -39,8 +39,8 @@ CODES = {
 ANSWERED, PLACE = 5070, 5061  #: First variables of the answer, and of the contact.
 SHORTEST = 1e-6  #: A shorter way counts as zero [m].
 NO_PROBE = 'the machine file has no probe; give its signals the input, output and words of a probe'
-AT_ONCE = 'the probe had answered before it moved; free it'
-ASSUMED = 'a plan counts the end of the line as the place where the probe answers'
+AT_ONCE = 'the probe was in contact before it moved; free it'
+ASSUMED = 'a plan assumes that the probe makes contact at the end of the line'
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,9 @@ class Probe:
             return f'line {self.line}: {self.code}: {AT_ONCE}'
         if answered or not CODES[self.code].must_answer:
             return ''
-        return f'line {self.line}: {self.code}: the probe has not answered to the end of the line'
+        return (
+            f'line {self.line}: {self.code}: the probe made no contact up to the end of the line'
+        )
 
 
 def measuring(words: BlockWords) -> list[str]:
@@ -84,7 +86,7 @@ def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> F
     )
     point: FloatArray = mover.frames.point(target[:3])
     mover.demand(
-        np.linalg.norm(point - mover.point) > SHORTEST, 'leads nowhere; give X, Y or Z', code
+        np.linalg.norm(point - mover.point) > SHORTEST, 'has no motion; give X, Y or Z', code
     )
     return point
 

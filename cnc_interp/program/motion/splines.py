@@ -191,7 +191,7 @@ class Splines:
         mover.point, self._passes = point, mover.targets.start.passes
         self._changed = mover.targets.changed if self._changed is None else self._changed
         if mover.stop_always:
-            mover.notice('exact stop', 'holds at the end of a spline, not at its control points')
+            mover.notice('exact stop', 'stops at the end of a spline, not at its control points')
         if mover.stop_once:
             self.stop_here()
         return True

@@ -237,7 +237,7 @@ class TiltedPlane:
         sign = (0.0, 1.0, -1.0)[choice]
         wanted = [pair for pair in found if sign * pair[tilting] >= -SMALL]
         if not wanted:
-            self.notice(code, 'the wanted solution is beyond the travel; the other one is taken')
+            self.notice(code, 'the requested solution is beyond the travel; the other one is used')
         return min(wanted or found, key=lambda pair: float(np.abs(pair - mover.rotary).sum()))
 
     def swivel(self, given: Sequence[float | None], words: BlockWords) -> None:

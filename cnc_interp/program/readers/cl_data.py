@@ -360,7 +360,7 @@ class ClReader:
         off = said.minor in cl_words.OFF or not _moves(said.minor)
         numbers = IDENTITY if off else re.sub(r'^MATRIX\s*/|[()\s]', '', said.minor)
         if (system := system_of(_numbers_of(numbers))) is None:
-            raise self._fault('these numbers are no coordinate system', said.major)
+            raise self._fault('these numbers do not define a coordinate system', said.major)
         self._frames.cut(system)
 
     def _index(self, said: Statement) -> None:

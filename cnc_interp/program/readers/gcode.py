@@ -74,7 +74,7 @@ class GcodeReader(ProgramReader):
             if head[1]:
                 if self.settings.skip_blocks:
                     return
-                self.notice('/', 'lines that can be skipped are executed')
+                self.notice('/', 'lines that begin with a slash are executed')
             line = line[head.end() :]
         self.in_flow = True
         rest = self.flow.execute(line) if line else None

@@ -55,7 +55,7 @@ NO_SUCH_NUMBER = (
 HARMLESS_G: dict[str, str] = {
     **dict.fromkeys(('G15', 'G13.1', 'G40.1', 'G54.2', 'G255'), 'nothing to switch off'),
     'G62': 'no effect, F is kept in corners, too',
-    'G103': 'no effect, the whole program is looked through',
+    'G103': 'no effect, the look-ahead covers the whole program',
     'G187': 'no effect, the path is always smoothed within the tolerances',
     'G96': 'no effect, the spindle is not driven',
     'G97': 'no effect',
@@ -96,14 +96,14 @@ REFUSED_G: dict[str, str] = {
 }
 
 #: Notices of stops before the first motion, M1 and M0.
-NOT_YET = 'before the first motion nothing waits'
+NOT_YET = 'no wait before the first motion'
 WAITS_FIRST = 'the machine waits for cycle start before it goes to the start of the path'
 DWELL = 'exact stop; the dwell time is not kept'
 ANY_DWELL = 'P is seconds or ms; its time is not kept, choose --dialect or write X'
 #: Notices of arcs that fit in one interpretation only, by keys of ``arcs.FAULTS``.
 CENTRES_TOLD = {
-    8: 'taken as the place of the centre, the arcs fit only so; as --arc-centres absolute',
-    9: 'taken from the centre to the start, the arcs fit only so; as --arc-centres reversed',
+    8: 'taken as the place of the centre: no other reading fits the arcs (--arc-centres absolute)',
+    9: 'taken from centre to start: no other reading fits the arcs (--arc-centres reversed)',
 }
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}

@@ -76,7 +76,7 @@ class Source:
         stream.seek(0)
         head = stream.read(_FIRST_WINDOW)
         if 16 * (len(head) - len(head.translate(None, _CONTROL))) > max(len(head), 256):
-            raise ProgramError('this is no text; give a part program, as text in UTF-8', name)
+            raise ProgramError('this is not text; give a part program, as text in UTF-8', name)
         self._old_lines = b'\r' in head and b'\n' not in head
         self.start = LineStart(
             len(_BYTE_ORDER_MARK) if head.startswith(_BYTE_ORDER_MARK) else 0, 1

@@ -243,7 +243,7 @@ def _no_word(line: str, at: int, fault: Fault) -> ProgramError:
     rest = line[at:]
     chunk = rest.split()[0]
     if not chunk.isprintable():
-        message, chunk = 'this is no text; give a part program', ascii(chunk)
+        message, chunk = 'this is not text; give a part program', ascii(chunk)
     elif rest[0].isdigit() or rest[0] in '+-.':
         message = 'a number without a letter; write for example X10'
     elif re.fullmatch(r'[A-Z]', chunk) or re.match(r'[A-Z][-+.]*(?![\d.A-Z])', chunk):

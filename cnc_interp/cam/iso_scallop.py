@@ -290,7 +290,7 @@ class PassRecursion:
             i = int(np.argmax(wrong))
             raise NoPassError(
                 f'pass {number}, point {i + 1} at {place(before.right.position[i])}: the mill '
-                'leaves a higher ridge before it reaches the scallop of the pass before',
+                'leaves a higher ridge before it reaches the scallop of the previous pass',
                 'take a smaller plane distance, a larger tilt or the tilt as the free angle',
             )
 

@@ -152,7 +152,9 @@ class _Reading:
             if names.count(name) > 1 or name in ('cutter', 'shank', 'holder'):
                 raise self.fault('bodies', f'the name {name!r} is used twice; rename one body')
         if not isinstance(tools, dict):
-            raise self.fault('tools', 'must hold tools by their numbers, as {3: {diameter_mm: 6}}')
+            raise self.fault(
+                'tools', 'must hold tools by their numbers, such as {3: {diameter_mm: 6}}'
+            )
         for number, tool in tools.items():
             if isinstance(number, bool) or not isinstance(number, int) or number < 1:
                 raise self.fault(
@@ -173,7 +175,7 @@ class _Reading:
         ignored = []
         for k, pair in enumerate(self._list(whole, 'ignore')):
             if not isinstance(pair, list) or len(pair) != 2:
-                raise self.fault(f'ignore[{k}]', 'must be two names, as [ram, nose]')
+                raise self.fault(f'ignore[{k}]', 'must be two names, such as [ram, nose]')
             for name in pair:
                 if name not in names:
                     raise self.fault(f'ignore[{k}]', f'no body has the name {name!r}')
@@ -269,7 +271,7 @@ class _Reading:
             raise self.fault(where, 'has no name')
         link, shapes_given = given.get('link'), [key for key in SHAPES if key in given]
         if not isinstance(link, str):
-            raise self.fault(name, 'has no link; name the link that carries it, as workpiece')
+            raise self.fault(name, 'has no link; name the link that carries it, such as workpiece')
         if len(shapes_given) != 1:
             raise self.fault(name, f'must have one shape of: {", ".join(SHAPES)}')
         key = shapes_given[0]

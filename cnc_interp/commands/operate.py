@@ -108,7 +108,12 @@ def add_operate_commands(commands: Any) -> None:
             'FILE',
             dest='from_file',
         ),
-        option('--export', 'write the table, as CSV or tool.tbl by its name', Path, 'FILE'),
+        option(
+            '--export',
+            'write the table, in the format that the name says (CSV or tool.tbl)',
+            Path,
+            'FILE',
+        ),
         flag('--inch', 'lengths in these files are in inches'),
         flag('--remove', 'remove the tool from the table'),
         flag('--load', 'the tool is in the spindle; 0: no tool is'),

@@ -220,7 +220,7 @@ def add_run_command(commands: Any) -> None:
         parser.drives_option(),
         option(
             '--then',
-            'a further program, which waits for the end of the one before; may be repeated',
+            'a further program, which waits for the end of the previous one; may be repeated',
             Path,
             'PROGRAM',
             action='append',

@@ -108,7 +108,7 @@ def geometric_errors(
     chain = given.get('chain', '' if turns else AXES)
     demand(
         isinstance(chain, str) and sorted(chain) == sorted(AXES),
-        'must be the linear axes in order from the workpiece to the tool, as XYZ',
+        'must be the linear axes in order from the workpiece to the tool, such as XYZ',
         'errors.chain',
     )
     order = tuple(AXES.index(a) for a in chain)

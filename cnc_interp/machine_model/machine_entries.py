@@ -324,7 +324,7 @@ def homing(
     lists = isinstance(groups, list) and all(isinstance(group, list) for group in groups)
     demand(
         lists and sorted(str(name) for group in groups for name in group) == sorted(found),
-        'must name each axis of switches once, as [[Z], [X, Y]]',
+        'must name each axis of switches once, such as [[Z], [X, Y]]',
         'homing.order',
     )
     return ReferenceSwitches(found, index, tuple(squared), tuple(map(tuple, groups)), required)
@@ -336,7 +336,7 @@ def _on_travel(
     found, places = {}, given.get(section, {})
     demand(
         isinstance(places, dict) and places,
-        'must give axes with positions, as {Z: 480.0}',
+        'must give axes with positions, such as {Z: 480.0}',
         f'homing.{section}',
     )
     for name, value in places.items():

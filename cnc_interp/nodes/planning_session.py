@@ -64,7 +64,7 @@ class Activity(Enum):
     WAITING = 'waits for the machine to rest'
     PLANNING = 'plans ahead'
     REVISING = 'plans with other settings; the old plan continues'
-    JOINING = 'has sent a plan that joins the one before'
+    JOINING = 'has sent a plan that joins the previous one'
     RESUMING = 'plans anew from rest'
     ENDED = 'the run is over'
 

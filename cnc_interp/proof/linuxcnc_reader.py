@@ -257,7 +257,7 @@ class _Printed:
             before, self.unit = self.unit, 25.4 * MM if 'INCHES' in text else MM
             self.digit = max(self.digit, LAST_DIGIT * self.unit)
             if self.unit != before and self.offsets['TOOL'].any():
-                raise LinuxCNCError("LinuxCNC's rs274 keeps a tool length in the unit before")
+                raise LinuxCNCError("LinuxCNC's rs274 keeps a tool length in the previous unit")
         elif name == 'SELECT_PLANE':
             self.plane = _PLANES[text[-2:]]
         elif name == 'SET_FEED_RATE':

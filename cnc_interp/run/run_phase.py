@@ -9,7 +9,7 @@ from cnc_interp.run.run_state import SELF_STARTING, RunId, State
 
 
 class Phase(Enum):
-    QUEUED = 'waits for the programs before it'
+    QUEUED = 'waits for earlier programs'
     CHECKING = 'is read and checked'
     WAITING = 'waits until all nodes answer and the machine rests'
     OFFERED = 'blocks are sent; look-ahead and planner have not taken the run yet'
@@ -19,7 +19,7 @@ class Phase(Enum):
 
 
 class PhaseChange(Enum):
-    TURN = 'the programs before it have ended'
+    TURN = 'the earlier programs have ended'
     CHECKED = 'it is known to run'
     STALE = 'offsets or tools were changed after the check'
     START = 'all nodes answer and the machine rests'

@@ -184,7 +184,7 @@ class Settings:
         kinds.LENGTH,
         (0.0, 1e3 * MM),
         APPROACH,
-        'way along the tool on which the tool is drawn back and plunges',
+        'distance along the tool of the retract and the plunge',
     )
     plunge_feed: float = kinds.number(
         500.0 * MM_PER_MIN,

@@ -96,7 +96,7 @@ def test_a_probe_needs_its_signals_and_rotary_axes_rest():
     with pytest.raises(ProgramError, match='has no probe'):
         read_text(LINE, 'p.ngc', Transform.of(Machine.load('xyz')), Settings())
     five = Transform.of(Machine.load('xyzbc'))
-    with pytest.raises(ProgramError, match='turn the rotary axes before'):
+    with pytest.raises(ProgramError, match='turn the rotary axes first'):
         read_text('G0 X0 Y0 Z0 B0 C0\nG38.2 Z-5 C90 F100', 'p.ngc', five, Settings())
     table = {
         'outputs': {'probe_armed': {'range': [0, 2]}},

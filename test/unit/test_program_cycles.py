@@ -247,5 +247,5 @@ def test_polar_coordinates_of_fanuc_are_radius_and_angle_about_the_zero():
     np.testing.assert_allclose(holes, [(30, 0), (10, 20), (-10, 0), (10, -20)], atol=1e-9)
     np.testing.assert_allclose(tips[-3:], [[10, -4, 5], [15, 6, 5], [13, 6, 0]], atol=1e-9)
     for wrong in ('G16\nG28 X0', 'G16 G91 X5'):
-        with pytest.raises(ProgramError, match=r'write G15 before|write it with G90'):
+        with pytest.raises(ProgramError, match=r'write G15 first|write it with G90'):
             read(f'G0 X1 Y0\n{wrong}', dialect='fanuc')

@@ -68,7 +68,7 @@ def test_an_exact_stop_holds_at_the_end_only():
 @pytest.mark.parametrize(
     ('text', 'part'),
     [
-        ('G5 X9 Y9 P1 Q1', 'needs I and J, because no spline comes before'),
+        ('G5 X9 Y9 P1 Q1', 'needs I and J, because it follows no spline'),
         ('G5 X9 I1 J1', 'needs P and Q'),
         ('G5 X9 I1 P1 Q1', 'give both I and J'),
         ('G5.1 X9 Y9', 'needs I and J'),

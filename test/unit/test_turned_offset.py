@@ -145,7 +145,7 @@ def test_a_rotation_is_asked_for_like_an_axis():
     [
         ('G10 L20 P1 R30 X1', 'R30: L20 takes no rotation; write it with L2'),
         ('G10 L2 P1 R1e6', 'exponent'),
-        ('G10 L2 P1 R99999', 'R99999: a rotation beyond ten turns'),
+        ('G10 L2 P1 R99999', 'R99999: a rotation of more than ten turns'),
     ],
 )
 def test_a_wrong_rotation_is_refused_in_one_line(text, part):

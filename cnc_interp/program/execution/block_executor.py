@@ -69,7 +69,7 @@ def execute(at: Execution, words: BlockWords) -> None:
     if len(taking) > 1:
         raise at.fault(f'{taking[0]} is in the same block; keep one of them', taking[1])
     if mover.polar and taking and not G[taking[0]].in_polar:
-        raise at.fault('polar coordinates are on; write G15 before', taking[0])
+        raise at.fault('polar coordinates are on; write G15 first', taking[0])
     calling = at.flow.call_of(words)
     if 'G4' not in taking:
         at.plane.refuse_gaps(taking)
@@ -106,7 +106,7 @@ def _change_by_macro(at: Execution, words: BlockWords) -> None:
 
 
 def _unknown(at: Execution, key: str) -> ProgramError:
-    unknown = 'unknown word; remove it, or write a letter and a number as X10'
+    unknown = 'unknown word; remove it, or write a letter and a number, such as X10'
     if near := get_close_matches(key, sorted(KEYS), 1, 0.8):
         unknown = f'unknown word; is it {near[0]}? It may move the tool'
     if re.fullmatch(r'[A-Z]O+', key):
@@ -143,10 +143,10 @@ def _stay_beside_contour(at: Execution, words: BlockWords) -> None:
     mover = at.mover
     named = {*words.g, *words.m, *(key for key, _ in words.keys)}
     if other := sorted(named & NOT_BESIDE_CONTOUR):
-        raise at.fault(f'{mover.radius_code} is on; write G40 before', other[0])
+        raise at.fault(f'{mover.radius_code} is on; write G40 first', other[0])
     at.demand(
         mover.plane == mover.radius_plane,
-        f'another plane while {mover.radius_code} is on; write G40 before',
+        f'another plane while {mover.radius_code} is on; write G40 first',
         mover.plane,
     )
 

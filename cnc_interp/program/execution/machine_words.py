@@ -124,7 +124,7 @@ def save_or_restore(at: Execution, code: str, _: BlockWords) -> None:
     flow, mover = at.flow, at.mover
     if code == 'M72':
         if flow.saved_state is None:
-            raise at.fault('no state is saved here; write M70 before', code)
+            raise at.fault('no state is saved here; write M70 first', code)
         restore(at, flow.saved_state)
         return
     state = (mover.saved_values(), dict(at.outputs))

@@ -30,7 +30,7 @@ def dwell(at: Execution, code: str, words: BlockWords) -> None:
     if letter == 'S':
         at.demand(
             at.mover.spindle_speed > 0.0,
-            'counts turns of the spindle; write S and M3 before',
+            'counts turns of the spindle; write S and M3 first',
             'G4 S',
         )
         seconds *= MINUTE / at.mover.spindle_speed
@@ -101,7 +101,7 @@ def spline(at: Execution, code: str, words: BlockWords) -> None:
         look_ahead(at, code, words)
         return
     if mover.radius_code or mover.polar or at.cycle is not None:
-        raise at.fault('a spline needs G40, G15 and G80 before', code)
+        raise at.fault('a spline needs G40, G15 and G80 before it', code)
     at.splines.end()
     mover.end_corner()
     mover.motion = None  # it holds on LinuxCNC; here each line says it again
@@ -118,7 +118,7 @@ def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
         'G53',
     )
     if at.cycle is not None and axes:
-        at.demand(not machine, 'machine coordinates in a canned cycle; write G80 before', 'G53')
+        at.demand(not machine, 'machine coordinates in a canned cycle; write G80 first', 'G53')
         at.cycle.drill(mover, words, feed_given)
     elif at.cycle is None and not at.splines.take(words, feed_given):
         mover.move(words, feed_given, machine)
@@ -166,7 +166,7 @@ def siemens_cycles(at: Execution, words: BlockWords) -> list[SiemensCycle]:
 def drill_pattern(at: Execution, key: str, given: Sequence[float | None]) -> None:
     mover = at.mover
     if at.called is None:
-        raise at.fault('a pattern needs a modal cycle; write MCALL CYCLE81(...) before', key)
+        raise at.fault('a pattern needs a modal cycle; write MCALL CYCLE81(...) first', key)
     for place in cycles.places_of(key, given, mover):
         target = mover.here()
         target[list(PLANES[mover.plane][:2])] = place

@@ -27,7 +27,7 @@ def scale_or_mirror(at: Execution, code: str, words: BlockWords) -> None:
         return
     _demand_rest(at, code)
     if code == 'G51.1':
-        at.demand(given, 'give the axis and the place at which it is mirrored, as X0', code)
+        at.demand(given, 'give the axis and the place at which it is mirrored, such as X0', code)
         frames.mirrors |= given
     elif code == 'G50.1':
         for i in given or list(frames.mirrors):
@@ -65,7 +65,7 @@ def _demand_rest(at: Execution, code: str) -> None:
         'with tool-tip programming or a tilted plane; post the path itself',
         code,
     )
-    at.demand(at.cycle is None, 'a canned cycle is on; write G80 before', code)
+    at.demand(at.cycle is None, 'a canned cycle is on; write G80 first', code)
     at.splines.end()
     mover.end_corner()
 

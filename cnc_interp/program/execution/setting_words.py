@@ -114,7 +114,7 @@ def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
             at.notice(code, 'nothing to switch off')
         mover.end_radius()
         return
-    at.demand(not mover.radius_code, f'{mover.radius_code} is on; write G40 before', code)
+    at.demand(not mover.radius_code, f'{mover.radius_code} is on; write G40 first', code)
     if code in ('G41.2', 'G42.2') or (mover.along_normals and code in ('G41', 'G42')):
         _contact_normals(at, code, words)
         return
@@ -204,7 +204,7 @@ def turn_frame(at: Execution, key: str, words: BlockWords) -> None:
         frames.reset_frame()
         frames.reset_scale()
     elif frames.scales:
-        raise at.fault('comes after MIRROR or SCALE; write it before', key)
+        raise at.fault('comes after MIRROR or SCALE; write it before them', key)
     taken = {letter: words.values.pop(letter, 0.0) for letter in 'XYZ'}
     if key.endswith('TRANS'):
         frames.move(np.array([taken[letter] * mover.unit for letter in 'XYZ']))

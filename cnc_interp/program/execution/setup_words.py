@@ -124,7 +124,9 @@ def write_setup(at: Execution, _: str, words: BlockWords) -> None:
     if angle is not None:
         at.demand(kind != 20.0, 'L20 takes no rotation; write it with L2', words.texts['R'])
         at.demand(
-            abs(angle) <= MOST_ANGLE, 'a rotation beyond ten turns; correct it', words.texts['R']
+            abs(angle) <= MOST_ANGLE,
+            'a rotation of more than ten turns; correct it',
+            words.texts['R'],
         )
         angle *= DEG
     if kind == 20.0:

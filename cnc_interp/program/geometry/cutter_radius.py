@@ -231,7 +231,7 @@ class CutterRadius:
 
     def push(self, row: FloatArray) -> list[FloatArray]:
         if np.abs(np.nan_to_num(row[col.ROTARY] - self._rotary)).max() > 0.0:
-            raise self._fault('rotary motion in cutter compensation; write G40 before', row)
+            raise self._fault('rotary motion in cutter compensation; write G40 first', row)
         element = self._element(row)
         if element is None:
             if self._rows:

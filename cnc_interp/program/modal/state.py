@@ -239,7 +239,7 @@ class ModalState(ModalValues):
             ends = 'G50 and G50.1'
             if self.dialect is HEIDENHAIN:
                 ends = 'CYCL DEF 8.1 without axes, 11.1 SCL 1, or 26.1 with factors of 1'
-            raise self.fault(f'axes are mirrored or scaled; write {ends} before', word)
+            raise self.fault(f'axes are mirrored or scaled; write {ends} first', word)
 
     def scale_of(self, value: float, word: str) -> float:
         self.demand(

@@ -19,7 +19,7 @@ def go_along(mover: Mover, code: str, words: BlockWords) -> None:
     """
     values, here = words.values, mover.here()[:3]
     mover.demand(
-        mover.plane == 'G17', 'a spline lies in the plane of X and Y; write G17 before', code
+        mover.plane == 'G17', 'a spline lies in the plane of X and Y; write G17 first', code
     )
     mover.demand(not mover.targets.empty, 'begins where the tool is; move there first', code)
     first, last = (_way(mover, pair, values) for pair in ('IJ', 'PQ'))
@@ -31,7 +31,7 @@ def go_along(mover: Mover, code: str, words: BlockWords) -> None:
         first, ended = mover.spline_goes_on
         mover.demand(
             np.array_equal(ended, mover.point),
-            'needs I and J, because no spline comes before',
+            'needs I and J, because it follows no spline',
             code,
         )
     assert first is not None

@@ -144,7 +144,7 @@ class Mover(ArcTargets):
         self.feedrate = kept
 
     def begin_radius(self, code: str, distance: float) -> None:
-        self.demand(not self.targets.empty, 'move to a place beside the contour before', code)
+        self.demand(not self.targets.empty, 'move to a place beside the contour first', code)
         frame = self.frames.plane(*PLANES[self.plane][:2])
         self.refuse_if(
             (self.vector is not None or (self.rotary_letters and self.tcp))
@@ -164,7 +164,7 @@ class Mover(ArcTargets):
 
     def begin_contact(self, code: str, cutter: ToolShape) -> None:
         """Take the following points as cutter contact points (G41.2, G42.2)."""
-        self.demand(not self.targets.empty, 'move to a place beside the part before', code)
+        self.demand(not self.targets.empty, 'move to a place beside the part first', code)
         self.demand(
             not self.by_axes, f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code
         )

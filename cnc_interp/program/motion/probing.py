@@ -81,7 +81,7 @@ def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> F
     here, target = mover.here(), mover.target(words)
     mover.refuse_if(
         np.abs(target[3:] - here[3:]).max(initial=0.0) > 1e-9 * DEG,
-        'probes along X Y Z; turn the rotary axes before',
+        'probes along X Y Z; turn the rotary axes first',
         code,
     )
     point: FloatArray = mover.frames.point(target[:3])

@@ -261,7 +261,7 @@ class Splines:
         mover = self._mover
         mover.refuse_if(
             given.keys() - {'XH', 'YH', 'ZH', 'SD', 'PW'},
-            'this word belongs into a spline; write BSPLINE first',
+            'this word belongs in a spline; write BSPLINE first',
             'PL',
         )
         second = self._second_point(given)

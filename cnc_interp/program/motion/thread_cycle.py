@@ -17,7 +17,7 @@ def cut_thread(mover: Mover, words: BlockWords) -> None:
     Pass n cuts to the depth J n^(1/R), and is shifted along Z according to the angle Q.
     """
     values, unit = words.values, mover.unit
-    mover.demand(mover.plane == 'G18', 'cuts along Z, away from X; write G18 before', CODE)
+    mover.demand(mover.plane == 'G18', 'cuts along Z, away from X; write G18 first', CODE)
     if missing := [letter for letter in 'PZIJK' if letter not in values]:
         raise mover.fault(f'needs {" ".join(missing)}', CODE)
     values.pop('E', None)

@@ -249,7 +249,7 @@ class TiltedPlane:
             'CYCLE800',
         )
         if values[0]:
-            self.notice('CYCLE800', 'no retract; move the tool away in a block before')
+            self.notice('CYCLE800', 'no retract; move the tool away in an earlier block')
         turn = self._swivelled(int(values[MODE]), np.array(values[ANGLES]) * DEG)
         unit, frames = self._mover.unit, self._mover.frames
         self._set('G68.4' if state % 10 else 'G68.2', np.array(values[BEFORE]) * unit, turn, 0.0)

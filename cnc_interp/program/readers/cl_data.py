@@ -416,7 +416,7 @@ class ClReader:
         self._demand(
             off <= arcs.allowed_mismatch(np.array(circle.radius)),
             f'the tool is {off / self.unit:.4g} away from this circle; correct '
-            'the circle or the point before',
+            'the circle or the previous point',
             'CIRCLE',
             DependsOn.PLACE,
         )
@@ -431,7 +431,7 @@ class ClReader:
             self._frames.point(place) * self.unit for place in (numbers[:3], numbers[-3:])
         )
         if self._heading is None or self.targets.empty:
-            raise self._fault('the direction of the arc is missing; write INDIRV before', 'GOFWD')
+            raise self._fault('the direction of the arc is missing; write INDIRV first', 'GOFWD')
         axis = np.array(self.axis)
         turn = float(axis @ np.cross(np.array(self._point) - centre, self._heading))
         self._demand(turn != 0.0, 'INDIRV points at the centre of the arc; correct it', 'GOFWD')

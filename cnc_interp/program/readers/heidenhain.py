@@ -106,7 +106,7 @@ class HeidenhainReader(ProgramReader):
             return float(text)
         except ValueError:
             raise self.fault(
-                'not a number; write digits with one point, as 0.5', text, DependsOn.LINE
+                'not a number; write digits with one point, such as 0.5', text, DependsOn.LINE
             ) from None
 
     def _passes(self, line: str, forms: tuple[_Form, ...]) -> bool:
@@ -380,7 +380,7 @@ class HeidenhainReader(ProgramReader):
         end = complex(*(words.values.get('XYZ'[i], here[i] / unit) * unit for i in (a, b)))
         if kind == 'CT':
             if self.heading is None or abs(end - start) < 1e-9:
-                raise self.fault('CT needs a line or an arc about CC before', 'CT')
+                raise self.fault('CT needs a preceding line or arc about CC', 'CT')
             side = ((end - start) * self.heading.conjugate()).imag
             self.demand(abs(side) >= 1e-9, 'the end lies on the line before; write L', 'CT')
             ccw = side > 0.0

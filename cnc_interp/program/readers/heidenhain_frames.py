@@ -40,7 +40,7 @@ class HeidenhainFrames:
         """Process cycle 7; I before a letter is incremental, and zeros end the shift."""
         if self._turn is not None and any(values.values()) and (self._turn != np.eye(3)).any():
             raise self._fault(
-                'a datum shift in a tilted plane; write PLANE RESET before', 'CYCL DEF 7'
+                'a datum shift in a tilted plane; write PLANE RESET first', 'CYCL DEF 7'
             )
         if any(values.values()):
             self._mover.demand_no_scale('CYCL DEF 7')

@@ -74,7 +74,7 @@ OTHER_MEANING: dict[str, tuple[str, str]] = {
 OKUMA_LENGTH = 'with H it is a tool length of Okuma; write G43 H, or H in another block'
 #: Treatment of G10 words that controls interpret differently.
 G10_CONFLICTS = {
-    'incremental': 'with G91 Fanuc adds to the value, LinuxCNC sets it; write G90 before',
+    'incremental': 'with G91 Fanuc adds to the value, LinuxCNC sets it; write G90 first',
     'L2 P0': 'P0 is the active work offset on LinuxCNC, the external one on Fanuc; write P1 to P9',
     'tool R': 'R is the radius on LinuxCNC, the value (length) on Fanuc; write L1 with Z and R',
 }

@@ -240,7 +240,7 @@ def _call(name: str, arguments: tuple[Node, ...], variables: ProgramVariables) -
     if name in _PLACES and len(arguments) == 1:
         axis = variables.text_of(_value(arguments[0], variables))
         if len(axis) != 1 or axis not in 'XYZABC':
-            raise ExpressionError(f'{name} takes an axis, as {name}[X]')
+            raise ExpressionError(f'{name} takes an axis, such as {name}[X]')
         return variables.number(_PLACES[name] + 'XYZABC'.index(axis))
     element = element_name(name, arguments, variables)
     if element in _ANSWERED:
@@ -248,7 +248,7 @@ def _call(name: str, arguments: tuple[Node, ...], variables: ProgramVariables) -
     if variables.exists(element):
         return variables.named(element)
     if name not in _FUNCTIONS:
-        raise ExpressionError(f'the function {name} is not supported; compute it before')
+        raise ExpressionError(f'the function {name} is not supported; compute its value first')
     count, function = _FUNCTIONS[name]
     if len(arguments) not in count:
         raise ExpressionError(f'{name} takes {count[0]} argument(s), not {len(arguments)}')

@@ -92,7 +92,7 @@ class SplineRun:
         if gap > SAME_POSE:
             raise BlockError(
                 'the spline does not begin where the tool is; its first control point must be '
-                'the end pose of the block before',
+                'the end pose of the previous block',
                 line,
             )
         if rows.knot_interval[0] != 0.0 or (len(rows) > 1 and rows.knot_interval[1] == 0.0):

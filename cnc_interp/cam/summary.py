@@ -207,7 +207,11 @@ def heights_in_words(found: dict[str, Any]) -> str:
         )
     if 'tiles' in found:
         tiles = found['tiles']
-        known = f', {tiles["known_before"]} of them known before' if tiles['known_before'] else ''
+        known = (
+            f', {tiles["known_before"]} of them known from an earlier start'
+            if tiles['known_before']
+            else ''
+        )
         text += (
             f'\n{"":15}{tiles["needles"]} needles ({tiles["rows"]} x {tiles["columns"]}) in '
             f'{tiles["tiles"]} tiles{known}\n{"written":<15}{tiles["folder"]}: index.html, '

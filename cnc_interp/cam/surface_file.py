@@ -176,7 +176,11 @@ def answer(path: Path, faces: Sequence[int]) -> tuple[Part | None, list[str], st
     except SurfaceError as refusal:
         return None, notes, str(refusal)
     except MemoryError:
-        return None, notes, f'{path}: it needs more memory than its length explains'
+        return (
+            None,
+            notes,
+            f'{path}: it would unpack to far more than a file of this length can hold',
+        )
     except Exception as fault:  # bindings of OpenCASCADE raise anything
         reason = ' '.join(str(fault).split())[:200] or type(fault).__name__
         return None, notes, f'{path}: cannot be read ({reason})'

@@ -65,7 +65,7 @@ def simulate_in_tiles(
     sweep = MotionPieces.of(cutter, motion.tip, motion.axis)
 
     def tell(progress: TileProgress) -> None:
-        known = f', {progress.known} known before' if progress.known else ''
+        known = f', {progress.known} known from an earlier start' if progress.known else ''
         bar.show('cutting', progress.share, f'{progress.done} of {progress.total} tiles{known}')
 
     with ProgressBar(None if request.json else sys.stderr) as bar:

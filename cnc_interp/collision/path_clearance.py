@@ -121,7 +121,7 @@ class PathClearance:
         Parameters
         ----------
         path : AxisPath
-            The part; it begins where the one before ended.
+            The part; it begins where the previous one ended.
         rapid : ndarray, shape (N - 1,)
             Whether each cell is a rapid, in which the cutter must not touch the stock.
         line_of : callable

@@ -107,7 +107,7 @@ def batch_command(options: argparse.Namespace) -> int:
     workers = workers_of(options.scheduler, options.workers, memory, longest)
 
     def tell(progress: Progress) -> None:
-        known = f', {progress.known} known before' if progress.known else ''
+        known = f', {progress.known} known from an earlier start' if progress.known else ''
         if progress.done == progress.known:
             bar.start('planning', f'{progress.total} programs{known}')
         bar.show('planning', progress.share, f'{progress.done} of {progress.total}{known}')
@@ -192,7 +192,7 @@ def sweep_command(options: argparse.Namespace) -> int:
 
     def tell(done: int, known: int) -> None:
         nonlocal begun
-        before = f', {known} known before' if known else ''
+        before = f', {known} known from an earlier start' if known else ''
         if not begun:
             begun = True
             bar.start('sweeping', f'{total} points{before}')

@@ -1,4 +1,4 @@
-"""Smooth segments as lines and pairs of cubic B-splines; ``losses``: what controls change.
+"""Smooth segments as lines and pairs of cubic B-splines; ``losses``: what a control may lose.
 
 On a corner the tool axis is that of top(f(u)) + E(u) - bottom(u). A cubic spline with more knots
 interpolates the second point, with its derivatives at both ends, until the tolerance holds.

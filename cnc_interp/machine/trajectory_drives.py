@@ -56,7 +56,7 @@ class Controller(Protocol):
         """Return the share of full speed at which it executes trajectories, as told last [-]."""
 
     def send(self, trajectory: Trajectory) -> None:
-        """Send a trajectory that replaces the one before."""
+        """Send a trajectory that replaces the previous one."""
 
     def take_reports(self) -> list[JointReport]:
         """Return the reports since the last call."""

@@ -270,7 +270,7 @@ class ProgramRun:
         )
 
     def waits_for(self, peers: Peers) -> tuple[str, float] | None:
-        """Return what the run waits for before it moves, and the progress of that [-]."""
+        """Return what the run waits for before it moves, and its progress [-]."""
         program, state = self.preparation.prepared, peers.state
         if self.phase is Phase.CHECKING:
             share = self.preparation.checked

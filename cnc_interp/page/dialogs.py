@@ -57,7 +57,7 @@ def keyboard_list() -> Any:
             ui.html('<kbd>← → ↑ ↓ PgUp PgDn</kbd>', sanitize=False)
             ui.label('X, Y, Z while the key is held and the jog keys are shown')
             ui.html('<kbd>Enter ↑ ↓</kbd>', sanitize=False)
-            ui.label('in the MDI field: execute the line; show the lines before')
+            ui.label('in the MDI field: execute the line; recall earlier lines')
         ui.label(
             'Space and Enter never press a key that moves the machine or changes an offset. '
             'Enter executes the line in the MDI field.'

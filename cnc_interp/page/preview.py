@@ -150,7 +150,7 @@ def thinned(count: int) -> IntArray:
 
 
 class Planner:
-    """Plans and proves one program at a time. A new program ends the work on the one before."""
+    """Plans and proves one program at a time. A new program ends the work on the previous one."""
 
     def __init__(self) -> None:
         self.machine = ''  # by file or bundled name; empty before it is known

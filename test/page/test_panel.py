@@ -239,7 +239,7 @@ def test_an_alarm_goes_with_its_cause_and_stays_in_the_history():
     alarms = AlarmList()
     alarms.add('error', 'part.ngc', 'M3: WARNING: the spindle is NOT started')
     for silence in ('0.3', '0.4', '1.2'):
-        alarms.hear(said('machine_node: jog', f'the held key was not heard for {silence} s'))
+        alarms.hear(said('machine_node: jog', f'no message of the held key for {silence} s'))
     alarms.hear(said('machine_node: jog', 'X is at the end of its travel'))
     # One line for each cause: the last one of a part.
     assert [a.message[:4] for a in alarms.newest_first] == ['X is', 'M3: ']

@@ -227,7 +227,7 @@ BY_CHECK = {
     'the first of a plan lost': lost('setpoints', 0.0),
     'all sent setpoints lost': lost('setpoints', 0.0, 1.0),
     'a function among the setpoints': one('setpoints', a_function),
-    'sent in two ways': twice('setpoints', adds('positions', 1e-6)),
+    'sent twice with different values': twice('setpoints', adds('positions', 1e-6)),
     'stop tails moved': every('setpoints', moved_tail),
     'no stop tails': every('setpoints', no_tail),
     'a wait that nobody saw': every('setpoints', sets('wait', SENT)),

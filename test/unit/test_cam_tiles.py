@@ -279,7 +279,10 @@ def test_the_command_says_the_same_in_tiles(files, tmp_path, capsys):
     assert seen[0] == seen[1]
     assert main([*files, '--tiles', str(out)]) == FINE
     text = capsys.readouterr().out
-    assert f'{tiles["needles"]} needles' in text and '2 tiles, 2 of them known before' in text
+    assert (
+        f'{tiles["needles"]} needles' in text
+        and '2 tiles, 2 of them known from an earlier start' in text
+    )
     assert (out / 'index.html').stat().st_size > 20_000
 
 

@@ -173,7 +173,7 @@ def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
         ('letter.ngc', 'F1000\nG1 X0\nG1 X1O\n', ':3: O: a letter without a number'),
         ('zero.ngc', 'F1000\nGO X0\n', ':2: GO: the letter O where a digit is expected'),
         ('comma.ngc', 'F1000\nG1 X0\nG1 X30,5\n', ':3: ,5: a decimal comma; write a point'),
-        ('binary.ngc', 'G1\x01\x02\x03' * 200 + '\n' * 9, ': this is no text'),
+        ('binary.ngc', 'G1\x01\x02\x03' * 200 + '\n' * 9, ': this is not text'),
         (
             'endless.ngc',
             'F1000\no1 while [1]\nG1 X1\nX0\no1 endwhile\nM2\n',

@@ -411,7 +411,7 @@ def test_the_check_proves_every_function_and_finds_a_wrong_one(tmp_path) -> None
     at = int(np.argmax(sample > 0))
     assert blocks[sample[at]] == plan.functions['block'][at] > blocks[sample[at] - 1]
     for changed, told in (
-        ({'sample': sample + (np.arange(len(sample)) == at)}, 'came out after the begin'),
+        ({'sample': sample + (np.arange(len(sample)) == at)}, 'was executed after the beginning'),
         ({'sample': sample - (np.arange(len(sample)) == at)}, 'came out before its block'),
         ({'sample': np.where(np.arange(len(sample)) == at, -1, sample)}, 'did not come out'),
         ({'block': plan.functions['block'][::-1]}, 'is out of order'),

@@ -97,7 +97,7 @@ FLOW = [
     ('DEF FRAME A_B', 'write DEF REAL'),
     ('CALL "X"', 'add it'),
     ('L54', 'add it'),
-    ('M72', 'M70 before'),
+    ('M72', 'M70 first'),
     ('G0 X EXISTS[###2]', 'before it is set'),
     ('O1 ENDSUB', 'not called'),
     ('O1 WHILE [1]\nO1 ENDWHILE', 'does not end'),

@@ -138,7 +138,7 @@ def test_the_passes_of_a_threading_cycle_meet():
 @pytest.mark.parametrize(
     ('old', 'new', 'told'),
     [
-        ('G18', 'G17', 'G18 before'),
+        ('G18', 'G17', 'G18 first'),
         ('P1.5', 'P0', 'P above 0'),
         ('K1 ', '', 'needs K'),
         ('J0.4', 'J1.4', 'below K'),

@@ -154,7 +154,7 @@ def read_step_safely(path: Path, faces: Sequence[int], note: Callable[[str], Non
     if code := child.returncode:
         why = f'it ended by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
         if code == -signal.SIGXCPU:
-            why = 'it takes longer than a file of this length may'
+            why = 'reading it takes longer than a file of its length may need'
         raise SurfaceError(f'{path}: OpenCASCADE cannot read it: {why}')
     part, notes, refusal = pickle.loads(child.stdout)
     for text in notes:

@@ -256,7 +256,7 @@ def add_panel_command(commands: Any) -> None:
             Path,
             'FOLDER',
         ),
-        flag('--attach', 'join nodes that run already; start none'),
+        flag('--attach', 'use nodes that run already; do not start any'),
         *parser.nodes_options(),
         *parser.page_options(),
     )

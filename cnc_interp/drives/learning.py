@@ -166,7 +166,9 @@ def hash_of(name: str) -> str:
 def learnt_for(path: Path, machine: str, model: str, period: float) -> LearntMotion:
     """Load learnt motion; InterpError unless it was learnt for this machine, model and period."""
     if not model:
-        raise InterpError('learnt: is added to compensation; name its model with --compensate')
+        raise InterpError(
+            'learnt: it corrects a compensated run; name the model with --compensate'
+        )
     motion, again = LearntMotion.load(path), 'record runs with it and learn again'
     known = Machine.load(machine)
     if motion.axes != ' '.join(known.axis_names) or motion.machine != hash_of(machine):

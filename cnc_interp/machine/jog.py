@@ -76,7 +76,7 @@ class Jog:
         wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
         self._check(shares, tool)
         if not (np.abs(wanted) <= 1.0).all():
-            raise StreamError('jog: shares lie between -1 and 1')
+            raise StreamError('jog: shares must be between -1 and 1')
         silence = now - self._beat_at
         moves, fresh = bool(wanted.any()), silence > LATE
         if moves and isinstance(self._wish, Move):
@@ -108,14 +108,16 @@ class Jog:
         wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)
         self._check(values, tool)
         if not (values or tool):
-            raise StreamError('move_axes: name an axis and where to, or a distance along the tool')
+            raise StreamError(
+                'move_axes: name an axis and its target, or a distance along the tool'
+            )
         if speed and not LEAST_SHARE <= speed <= 1.0:
             raise StreamError(f'move_axes: the speed is {speed:g}; from {LEAST_SHARE:g} to 1')
         self._playback.check_jog()
         if self._override * (speed or 1.0) < LEAST_SHARE:
             raise StreamError(f'the feed override is {self._override:g}; raise it')
         if isinstance(self._wish, Beat):
-            raise StreamError('the axes are being jogged; let go first')
+            raise StreamError('the axes are being jogged; release the key first')
         slides = self._slides(bool(tool))
         if slides is None:
             raise StreamError('the axes are still moving; wait until they rest')

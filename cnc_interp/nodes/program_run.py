@@ -54,7 +54,7 @@ def why_not(missing: str, machine: MachineReport | None) -> Outcome | None:
     if machine.state is State.INACTIVE:
         return Outcome(Code.REFUSED, 'the drives are off; activate machine_node')
     if machine.state is State.JOGGING:
-        return Outcome(Code.BUSY, 'the axes are moved by hand; let go, then start again')
+        return Outcome(Code.BUSY, 'the axes are moved by hand; release the key, then start again')
     if machine.must_home:
         axes = ' '.join(machine.must_home)
         return Outcome(Code.REFUSED, f'{axes} must be homed before a program starts')

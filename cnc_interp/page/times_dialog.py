@@ -57,4 +57,4 @@ class TimesDialog:
 
     async def _set(self, name: ui.input) -> Answer:
         self._desk.operator = str(name.value)[:80]
-        return Answer(True, 'the next run names this operator')
+        return Answer(True, 'this operator is recorded with the next run')

@@ -49,9 +49,13 @@ def tools_of_text(text: str, unit: float) -> dict[int, Tool]:
             number, tool = _tool(words, unit)
         except ValueError as problem:
             raise InterpError(f'line {line}: {problem}') from None
-        fault = tool.fault if 1 <= number <= MOST_TOOL else f'numbers are from 1 to {MOST_TOOL}'
+        fault = (
+            tool.fault
+            if 1 <= number <= MOST_TOOL
+            else f'tool numbers must be from 1 to {MOST_TOOL}'
+        )
         if not fault and number in found:
-            fault = 'it is in the file twice'
+            fault = 'the tool is in the file twice'
         if fault:
             raise InterpError(f'line {line}: tool {number}: {fault}')
         found[number] = tool

@@ -396,7 +396,7 @@ class _Comparison:
 
     def speed(self, move: ReadMove, before: ReadMove, rows: IntArray) -> None:
         if (self.blocks['rapid'][rows] != move.rapid).any():
-            self.fault(move, f'is {"a" if move.rapid else "no"} rapid, its rows are not so')
+            self.fault(move, f'is {"a" if move.rapid else "no"} rapid, but its rows are not')
             return
         duration, feed = self.blocks['duration'][rows], self.blocks['feed'][rows]
         if move.rapid:

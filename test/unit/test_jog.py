@@ -395,7 +395,7 @@ def test_it_is_refused_with_drives_off_and_beside_a_program():
     bench.run(0.2, X=0.1)
     with pytest.raises(StreamError, match='while the machine moves'):
         bench.play.make_room(RunId('p'))
-    with pytest.raises(StreamError, match='let go first'):
+    with pytest.raises(StreamError, match='release the key first'):
         bench.move(Y=1 * MM)
     bench.rest()
     motion = JogMotion(Slides.of_axes(XYZAC), T, bench.q[-1])

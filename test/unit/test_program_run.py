@@ -220,7 +220,7 @@ def test_a_run_waits_for_a_machine_that_is_free_and_not_for_ever():
     run, peers = waiting()
     peers.machine = machine_report(MachineState(state=MachineState.JOGGING))
     assert run.step(peers, PATIENCE, 3.0) is None
-    assert 'by hand; let go' in run.step(peers, PATIENCE + 0.1, 3.0).message
+    assert 'by hand; release the key' in run.step(peers, PATIENCE + 0.1, 3.0).message
     run, peers = waiting()
     peers.machine = machine_report(MachineState(state=MachineState.FAULT))
     assert run.step(peers, 0.0, 3.0).code is Code.STOPPED

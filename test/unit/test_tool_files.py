@@ -53,7 +53,7 @@ def test_what_is_written_is_read_again_alike():
     [
         ('', 'no tools'),
         ('hello', 'columns are'),
-        ('T1 P1 Z1\nT1 P2 Z2', 'line 2: tool 1: it is in the file twice'),
+        ('T1 P1 Z1\nT1 P2 Z2', 'line 2: tool 1: the tool is in the file twice'),
         ('T1 P1 Z1\nP2 Z2', "line 2: 'T'"),
         ('T1 P1 Z1 K3', "line 1: 'K'"),
         ('T1 P1 Z1 hello', 'line 1: '),

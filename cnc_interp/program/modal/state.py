@@ -263,7 +263,7 @@ class ModalState(ModalValues):
         if self.by_axes and self.dialect is PLAIN and (point != self.point).any():
             self.told_feed_of_turns = True
             self.notice(
-                'F of a line that also turns',
+                'F in lines with rotary motion',
                 'the speed of X Y Z, as on LinuxCNC; on Fanuc degrees count as millimetres of the '
                 'way, so --dialect fanuc takes longer',
             )

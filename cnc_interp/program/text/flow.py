@@ -211,7 +211,9 @@ class Flow(Cursor):
         if given and given[1] == 'REP':
             values = values[:1] * len(indices)
         self.demand(
-            len(values) <= len(indices), 'more values than elements; correct the size', name
+            len(values) <= len(indices),
+            'more values than the array has elements; correct its size',
+            name,
         )
         for index, number in zip(indices, values + [0.0] * len(indices), strict=False):
             self.variables.set_name(f'{name}[{index[1:]}]', number)

@@ -120,7 +120,8 @@ def arms(folder: Path, count: int, seed: int) -> Iterator[tuple[Machine, Path]]:
     for number in range(count):
         name, file = names[number % len(names)], folder / f'made_{number}.yaml'
         content = yaml.safe_load((folder / f'{name}.yaml').read_text())
-        scale, lean = (1.0, 0.0) if number < len(names) else random.uniform((0.8, -15), (1.3, 15))
+        drawn = (1.0, 0.0) if number < len(names) else random.uniform((0.8, -15), (1.3, 15))
+        scale, lean = map(float, drawn)  # no NumPy scalars, which YAML cannot write
         robot = ElementTree.parse(folder / content['urdf'])
         for origin in robot.iter('origin'):
             xyz = [scale * float(word) for word in origin.get('xyz', '0 0 0').split()]

@@ -15,7 +15,7 @@ from cnc_interp.collision.mesh_file import SceneError, triangles_of
 from cnc_interp.collision.scene import Placed
 from cnc_interp.collision.scene_file import read_scene, require_tool, scenes_directory
 from cnc_interp.commands.cli import main
-from cnc_interp.machine_model.machine import Machine, machines_directory
+from cnc_interp.machine_model.machine import Machine, arms_directory, machines_directory
 from cnc_interp.program.job import Tool
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report.clearances import clearance_section, distances
@@ -384,9 +384,9 @@ def test_a_bundled_scene_is_found_by_its_name(folder):
 
 
 def test_bundled_scenes_fit_their_machines():
-    scenes = {file.stem for file in scenes_directory().glob('*.yaml')}
-    assert scenes >= {file.stem for file in machines_directory().glob('*.yaml')}
-    for file in machines_directory().glob('*.yaml'):
+    bundled = [*machines_directory().glob('*.yaml'), *arms_directory().glob('*.yaml')]
+    assert {file.stem for file in bundled} == {f.stem for f in scenes_directory().glob('*.yaml')}
+    for file in bundled:
         placed = Placed.of(read_scene(file.stem), Machine.load(file))
         assert len(placed.pairs) > 3
 

@@ -49,7 +49,7 @@ SYNTAX = [
     ('G1 X1 F60\nG93 X2 F60\nG94 X3', '', 'no feedrate'),
     ('G4 Y5', 'G4', 'two lines'),
     ('M428\nG0 C400000', 'C400000', '1000 turns'),
-    ('\x00\x01', "'\\x00\\x01'", 'no text'),
+    ('\x00\x01', "'\\x00\\x01'", 'not text'),
 ]
 UNSUPPORTED = [
     'G5.2 X1',

@@ -3,15 +3,20 @@
 The file exists only after the axes rested at a power failure or at the end of the machine node.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
 
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.core.small_files import UnreadableError, is_number, read_yaml, write_whole
-from cnc_interp.machine_model.machine import Machine
+
+if TYPE_CHECKING:
+    from cnc_interp.machine_model.machine import Machine
 
 
 def kept_positions(file: str, machine: Machine) -> FloatArray:

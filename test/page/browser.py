@@ -117,6 +117,7 @@ class Tab:
         self._number = 0
         self._button = 'none'  # of the mouse, while it is pressed
         self.faults = []
+        self.said = []  # by the scripts of the page
         self.send('Runtime.enable')
         self.send('Page.enable')
         self.send('Page.addScriptToEvaluateOnNewDocument', source=FEW_FRAMES)
@@ -129,6 +130,8 @@ class Tab:
             message = json.loads(self._socket.recv(timeout=deadline - time.monotonic()))
             if message.get('method') == 'Runtime.exceptionThrown':
                 self.faults.append(message['params']['exceptionDetails'])
+            if message.get('method') == 'Runtime.consoleAPICalled':
+                self.said += [part.get('value') for part in message['params']['args']]
             if message.get('id') == self._number:
                 if 'error' in message:
                     raise DevToolsError(message['error']['message'])
@@ -161,6 +164,13 @@ class Tab:
             'Object.fromEntries([...document.querySelectorAll("[data-mark]")]'
             '.map(e => [e.dataset.mark, e.textContent]))'
         )
+
+    def last_words(self):
+        return self.said[-5:], self.texts()
+
+    def shows(self, words):
+        """Whether words are on the page; on one that is being loaded nothing is."""
+        return self.run(f'!!document.body?.textContent.includes(`{words}`)')
 
     def click(self, name):
         """Press a key that is there and may be pressed, on a page in contact with its server."""
@@ -210,10 +220,23 @@ class Tab:
         for kind in ('move', 'press', 'release'):
             self.pointer(kind, *at)
 
+    def ask(self, name, answer):
+        """Press a key until words are shown; a page that is loaded anew forgets the press."""
+
+        def answered():
+            if not self.run('!!window.wasAsked'):
+                self.wait(lambda: self.run(f'{IN_CONTACT} && (window.wasAsked = true)'))
+                self.click_with_mouse(name)
+            return self.shows(answer)
+
+        self.wait(answered)
+
     def wait(self, done, patience=PATIENCE):
         deadline = time.monotonic() + patience
         while not done():
-            assert time.monotonic() < deadline, f'waited too long; the page shows {self.texts()}'
+            assert time.monotonic() < deadline, (
+                f'waited too long; the page shows {self.last_words()}'
+            )
             time.sleep(0.05)
 
     def choose_file(self, selector, path):

@@ -23,8 +23,6 @@ from cnc_interp.page.contact import INTERRUPTED
 from cnc_interp.program import JobSetup
 
 TOKEN = 'every test knows it'
-#: True while the page says that a key did nothing because the connection was interrupted.
-REFUSED = f'!!document.body?.textContent.includes("{INTERRUPTED}")'
 
 #: What draws machine, path and part.
 VIEW = 'document.querySelector(".scene canvas")'
@@ -95,7 +93,7 @@ class PanelUnderTest(NodesUnderTest):
         return JobSetup.of_text(self.told[-1].text)
 
     def last_words(self):
-        return [tab.texts() for tab in self.page.tabs], super().last_words()
+        return [tab.last_words() for tab in self.page.tabs], super().last_words()
 
     def until(self, state):
         self.spin_until(lambda: self.peers.state and self.peers.state.state == state)
@@ -117,12 +115,12 @@ class PanelUnderTest(NodesUnderTest):
         def settled():
             nonlocal done_at_once
             done_at_once = done()
-            return done_at_once or tab.run(REFUSED)
+            return done_at_once or tab.shows(INTERRUPTED)
 
         press(tab, key)
         self.spin_until(settled)
         if not done_at_once:
-            tab.wait(lambda: not tab.run(REFUSED))
+            tab.wait(lambda: not tab.shows(INTERRUPTED))
             assert not done(), f'{key}: {INTERRUPTED}, and the key did something'
             press(tab, key)
             self.spin_until(done)

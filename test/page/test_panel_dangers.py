@@ -125,7 +125,7 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
     others = [box['right'] for name, box in boxes.items() if name != 'Z']
     assert boxes['Z']['left'] - max(others) > 40
     hold_key(tab, 'go to zero X', 0.0, device)
-    tab.wait(lambda: tab.run(f'document.body.textContent.includes("{EARLY}")'))
+    tab.wait(lambda: tab.shows(EARLY))
     time.sleep(FILLS + 0.5)
     assert (here(panel) == before).all()
     hold_key(tab, 'go to zero X', 2 * FILLS, device)
@@ -154,8 +154,7 @@ def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_p
     stranger.wait(lambda: stranger.text('refused') == WRONG_TOKEN)
     guest = panel.open('')
     guest.show()
-    guest.click_with_mouse('take over')
-    guest.wait(lambda: guest.run(f'document.body.textContent.includes("{NO_TOKEN}")'))
+    guest.ask('take over', NO_TOKEN)
     first.show()
     panel.reset(first)
 
@@ -169,7 +168,7 @@ def test_m6_without_a_tool_changer_waits_and_names_the_tool(panel, tmp_path):
     # A length that nobody knows is no length of zero.
     tab.wait(lambda: 'WARNING' in tab.run('document.querySelector(".alarms").textContent'))
     tab.click_with_mouse('cycle start')
-    tab.wait(lambda: tab.run('document.body.textContent.includes("has no length of this tool")'))
+    tab.wait(lambda: tab.shows('has no length of this tool'))
     assert (here(panel) == stood).all()
     tab.click_with_mouse('offsets')
     fields = {'number': '5', 'length': '75.5', 'flute': '20', 'pocket': '12', 'remark': 'ball'}

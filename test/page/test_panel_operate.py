@@ -12,7 +12,6 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from browser import IN_CONTACT, Tab
 from cnc_interp_msgs.msg import MachineState
-from page_under_test import REFUSED
 from std_msgs.msg import Float64
 from tiers import examples, few_of
 
@@ -21,7 +20,7 @@ from cnc_interp.client.hand_move import pose_request
 from cnc_interp.machine.jog import LATE
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import qos
-from cnc_interp.page.contact import AGAIN, VIEW_ONLY
+from cnc_interp.page.contact import AGAIN, INTERRUPTED, VIEW_ONLY
 from cnc_interp.page.hand_motion import LOST, STALE, numbers
 from cnc_interp.page.scene import FACES, SIDES
 
@@ -169,15 +168,15 @@ def moves(panel, tab, device, done=None):
     A busy computer may interrupt the contact. Then the page must say so, and let the key go.
     """
     while True:
-        tab.wait(lambda: tab.run(f'{IN_CONTACT} && !{REFUSED}'))
+        tab.wait(lambda: tab.run(IN_CONTACT) and not tab.shows(INTERRUPTED))
         x, y = tab.centre('jog X+')
         start = panel.next_state().positions[0]
         if device != 'touch':
             tab.pointer('move', x, y, device)
         tab.pointer('press', x, y, device)
         moved = done or (lambda start=start: panel.peers.state.positions[0] > start + 1e-3)
-        panel.spin_until(lambda moved=moved: moved() or tab.run(REFUSED))
-        if not tab.run(REFUSED):
+        panel.spin_until(lambda moved=moved: moved() or tab.shows(INTERRUPTED))
+        if not tab.shows(INTERRUPTED):
             return x, y
         tab.pointer('release', x, y, device)
         rests(panel, tab)
@@ -310,7 +309,7 @@ def test_the_stops_are_pressed_with_any_dialog_open(panel, size):
         tab.click(key)
         tab.wait(lambda: tab.run(OPEN))
         tab.click_with_mouse('feed hold')
-        tab.wait(lambda: tab.run('document.body.textContent.includes("nothing to hold")'))
+        tab.wait(lambda: tab.shows('nothing to hold'))
         tab.click_with_mouse('EMERGENCY STOP')
         panel.until(MachineState.FAULT)
         assert tab.run(OPEN)  # the press went to the key alone
@@ -435,8 +434,7 @@ def test_the_choice_of_a_line_is_forgotten_with_its_program(panel, part):
     panel.press_key(tab, 'from the top', lambda: tab.text('start') == '')
     choose(panel, tab, 9, 0, 'starts at line 9;')
     tab.fill('start line', '99')
-    refused = f'document.body.textContent.includes("{part.name} has 10 lines")'
-    panel.press_key(tab, 'start here', lambda: tab.run(refused))
+    panel.press_key(tab, 'start here', lambda: tab.shows(f'{part.name} has 10 lines'))
     other = part.with_name('other.ngc')
     other.write_text(PART)
     panel.load(tab, other)
@@ -592,8 +590,7 @@ def test_a_key_at_the_end_of_travel_says_so(panel):
     tab.click('jog')
     tab.wait(lambda: tab.run('!!jog.pad()'))
     told = f'X is at the end of its travel: {1e3 * end:.3f} mm'
-    shown = f'document.body.textContent.includes("{told}")'
-    tab.pointer('release', *moves(panel, tab, 'mouse', lambda: tab.run(shown)))
+    tab.pointer('release', *moves(panel, tab, 'mouse', lambda: tab.shows(told)))
     assert panel.next_state().commanded_positions[0] == pytest.approx(end, abs=1e-6)
     tab.fill('mdi', 'G53 G0 X0')  # the next test finds room in both directions
     tab.type_key('Enter')

@@ -11,9 +11,8 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp_msgs.msg import MachineState
-from page_under_test import REFUSED
 
-from cnc_interp.page.contact import LATE
+from cnc_interp.page.contact import INTERRUPTED, LATE
 from cnc_interp.page.hand_motion import STALE
 
 IMPELLER = Path(__file__).parents[3] / 'shared/programs/linuxcnc-impeller-xyzac'
@@ -105,11 +104,11 @@ def set_override(panel, tab, percent):
         )
 
     while panel.override != percent / 100:
-        tab.wait(lambda: not tab.run(REFUSED) and seen(panel.next_state().feed_override))
+        tab.wait(lambda: not tab.shows(INTERRUPTED) and seen(panel.next_state().feed_override))
         steps = round((percent - 100 * panel.override) / 5)
         key = 'ArrowRight' if steps > 0 else 'ArrowLeft'
         tab.press_key('override slider', key, times=abs(steps))
-        panel.spin_until(lambda: panel.override == percent / 100 or tab.run(REFUSED))
+        panel.spin_until(lambda: panel.override == percent / 100 or tab.shows(INTERRUPTED))
     tab.wait(lambda: seen(percent / 100))
 
 
@@ -157,7 +156,7 @@ def test_settings_of_the_dialog_are_planned_and_run(panel, long_program):
     tab.fill('setting contour_tolerance', 'wide')
     tab.click('use settings')
     wrong = "largest deviation of the tool tip: 'wide' is not a number"
-    tab.wait(lambda: tab.run(f'document.body.textContent.includes("{wrong}")'))
+    tab.wait(lambda: tab.shows(wrong))
     tab.fill('setting contour_tolerance', '0.1')
     tab.click('use settings')
     panel.load(tab, long_program)
@@ -280,11 +279,11 @@ def test_a_stop_is_never_lost_and_a_start_never_late(panel, long_program):
     panel.states.clear()
     tab.press_key_at_once('override slider', 'ArrowLeft')
     os.kill(server, signal.SIGCONT)
-    tab.wait(lambda: tab.run(REFUSED))
+    tab.wait(lambda: tab.shows(INTERRUPTED))
     tab.wait(lambda: tab.run(SLIDER) == '100')
     assert {state.feed_override for state in panel.states} <= {1.0}
     assert panel.next_state().state == MachineState.HELD and panel.override == 1.0
-    tab.wait(lambda: not tab.run(REFUSED))
+    tab.wait(lambda: not tab.shows(INTERRUPTED))
     panel.go_on(tab)
     stop_and_reset(panel, tab)
 

@@ -116,7 +116,7 @@ def test_a_holder_that_the_scene_does_not_know_is_refused_in_one_sentence(panel)
         tab.fill(f'new tool {name}', text)
     tab.click_with_mouse('set new tool')
     said = "unknown holder 'slimm'; known: slim"
-    tab.wait(lambda: tab.run(f'document.body.textContent.includes(`{said}`)'))
+    tab.wait(lambda: tab.shows(said))
     assert 7 not in panel.setup.tools
     tab.fill('new tool holder', 'slim')
     tab.click_with_mouse('set new tool')

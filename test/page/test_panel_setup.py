@@ -56,7 +56,7 @@ def test_edit_touch_off_and_run(panel, tmp_path):
     tab.wait(lambda: tab.text('setup') == 'G55, tool 3')
     tab.fill('G54 X', 'ten')
     tab.click('set G54')
-    tab.wait(lambda: tab.run('document.body.textContent.includes("write a number")'))
+    tab.wait(lambda: tab.shows('write a number'))
     tab.click('close setup')
     move(panel, X=0.1, Y=-0.05, Z=0.3)
     tab.click('show touch off')
@@ -92,7 +92,7 @@ def test_what_a_program_uses_is_refused_with_one_line(panel, tmp_path):
     tab.fill('G54 X', '5')
     tab.click('set G54')
     told = 'G54 is in use by waits.ngc, which runs'
-    tab.wait(lambda: tab.run(f'document.body.textContent.includes("{told}")'))
+    tab.wait(lambda: tab.shows(told))
     assert 'G54' not in panel.setup.work_offsets
     tab.click('close setup')
     panel.reset(tab)

@@ -65,12 +65,11 @@ def test_frames_of_any_curve_are_those_of_the_guiding_plane():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize('mill', [BALL, MILL])
-def test_ridges_have_the_height_asked_for(mill):
-    paths = classical_paths(BUMPS, mill, Y, HEIGHT, 6 * DEG)
+def test_ridges_have_the_height_asked_for():
+    paths = classical_paths(BUMPS, MILL, Y, HEIGHT, 6 * DEG)
     curves = [c for c in (SplinePass.of(p, 0.5 * MM) for p in paths.passes) if c]
-    path = ToolPath.of(link(curves, BUMPS, mill, LinkOptions()), 0.1 * UM)
-    section = cross_sections(BUMPS, mill, Motion('programmed', path.tip, path.axis), Y, 3 * MM)
+    path = ToolPath.of(link(curves, BUMPS, MILL, LinkOptions()), 0.1 * UM)
+    section = cross_sections(BUMPS, MILL, Motion('programmed', path.tip, path.axis), Y, 3 * MM)
     assert len(section.ridges) >= 36
     np.testing.assert_allclose(np.percentile(section.ridges, [5, 50, 95]), HEIGHT, rtol=0.03)
     assert section.height.min() > -0.15 * UM

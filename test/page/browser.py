@@ -34,9 +34,12 @@ CODES = {
     'F1': 112,
 }
 #: Drawing in software takes half a core at the 20 frames a second of the view, and smooth edges
-#: take as long as all the rest of a frame.
+#: take as long as all the rest of a frame. As in every browser, nothing is drawn in tabs behind.
 FEW_FRAMES = """
-window.requestAnimationFrame = (draw) => setTimeout(draw, 300, performance.now());
+window.requestAnimationFrame = (draw) => {
+  const step = () => (document.hidden ? setTimeout(step, 300) : draw(performance.now()));
+  return setTimeout(step, 300);
+};
 HTMLCanvasElement.prototype.getContext = (made => function (kind, choices) {
   return made.call(this, kind, kind === 'webgl2' ? {...choices, antialias: false} : choices);
 })(HTMLCanvasElement.prototype.getContext);"""

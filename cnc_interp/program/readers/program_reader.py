@@ -101,11 +101,18 @@ class ProgramReader(ABC):
         yield from targets.finish()
 
     def _next_lines(self, together: bool) -> None:
+        self._restore()  # after a subprogram that its text has ended
+        self._read_next(together)
+        self._restore()
+
+    def _restore(self) -> None:
+        if self.flow.restoring is not None:
+            restore(self.at, self.flow.restoring)
+            self.flow.restoring = None
+
+    def _read_next(self, together: bool) -> None:
         flow = self.flow
         window, row = flow.window, flow.row
-        if flow.restoring is not None:
-            restore(self.at, flow.restoring)
-            flow.restoring = None
         if flow.rest is not None:
             rest, flow.rest, flow.jumped = flow.rest, None, False
             self.execute(rest)

@@ -222,7 +222,7 @@ class Desk:
 
     async def load(self, name: str, text: str) -> Answer:
         if not is_text(text):
-            return Answer(False, f'{name} is no text: choose a file with a program')
+            return Answer(False, f'{name} is not a text file: choose a file with a program')
         if in_program(self.nodes.state):
             why = 'a program is running: load another one when it has ended, or press queue next'
             return Answer(False, why)
@@ -233,7 +233,7 @@ class Desk:
         if not in_program(self.nodes.state):
             return Answer(False, 'no program is running: load this one and press cycle start')
         if not is_text(text):
-            return Answer(False, f'{name} is no text: choose a file with a program')
+            return Answer(False, f'{name} is not a text file: choose a file with a program')
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
         return await asyncio.wrap_future(
             self.nodes.start_program(job.goal(StartChoice(), self.operator))

@@ -96,14 +96,21 @@ def test_known_limits_are_found_within_their_intervals(recorded, capsys):
     told = capsys.readouterr().out
     assert 'feed override 105' in told
     found, truth = yaml.safe_load(out.read_text()), yaml.safe_load(TRUTH)
+    guess = yaml.safe_load(GUESS)
+    lines = [line for line in out.read_text().splitlines() if line[:3] == '#  ']
     intervals = {
-        key.removeprefix('#').strip(): [float(word) for word in values.split('+-')]
-        for key, _, values in (
-            line.partition(': ') for line in out.read_text().splitlines() if line[:3] == '#  '
-        )
+        key.removeprefix('#').strip(): [
+            float(word) for word in values.split(' as ')[0].split('+-')
+        ]
+        for key, _, values in (line.partition(': ') for line in lines)
     }
+    hidden = [line.split()[1].removesuffix(':') for line in lines if 'as before' in line]
     checked = 0
     for key, (value, *width) in intervals.items():
+        if key in hidden:
+            _, axis, limit = key.split('.') if key.startswith('limits') else ('', '', '')
+            assert not axis or found['limits'][axis][limit] == guess['limits'][axis][limit]
+            continue
         if key == 'look_ahead.scatter_percent':
             assert 0.0 < value < 5.0
             continue
@@ -116,7 +123,8 @@ def test_known_limits_are_found_within_their_intervals(recorded, capsys):
         elif key.startswith('limits') or 'jump' in key:
             checked += 1
             assert abs(value - known) < 1.5 * width[0] + 0.02 * known, key
-    assert checked == 7
+    assert checked >= 3
+    assert 'limits.X.jerk_m_per_s3' not in hidden, 'it moves most'
     assert 'measured' in (recorded / 'fitted.html').read_text()
 
 

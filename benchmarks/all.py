@@ -45,7 +45,7 @@ ALL = (
     Benchmark('rotary_words', 'measured/README.md', '--count 100', '--count 2 --machines xyzac'),
     Benchmark('tilted_planes', 'how_it_works/tilted_planes.md'),
     Benchmark('compensated_paths', 'operate/programs.md', '', '--count 3'),
-    Benchmark('collision', 'measured/README.md', '--scenes 1000', '--scenes 3'),
+    Benchmark('collision', 'measured/README.md', '--scenes 2400', '--scenes 3'),
     Benchmark('arms', 'how_it_works/arms.md', ''),
     Benchmark('nbuffer', 'how_it_works/cam.md', '--tiles'),
     Benchmark('compensation', 'measured/drives.md'),

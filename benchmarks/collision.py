@@ -14,8 +14,8 @@ fifth of the hits it is 0.5 to 2 um, so that the stretch below the clearance is 
 0.5 mm, one setpoint of 1 ms at 30 m/min. The second program (``proof/clearance.py``) verifies
 every certificate.
 
-Prints one line of counts last; exits 0 only if nothing was missed, every certificate holds, and
-at most 1 % of the clear scenes are reported as hits.
+Prints a line of counts now and then, and one last; exits 0 only if nothing was missed, every
+certificate holds, and at most 1 % of the clear scenes are reported as hits.
 """
 
 import json
@@ -57,6 +57,7 @@ from cnc_interp.proof.clearance_bound import Cells, Solids, certified
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / 'shared' / 'programs'
 CLEARANCE = 1e-4
+OFTEN = 400  #: Seeds between two lines of counts.
 SHORT = 0.5e-3  #: The way of one setpoint at rapid [m].
 LINKS = {
     'xyzac': [('tool_tip', 'workpiece'), ('z_slide', 'a_table'), ('tool_tip', 'base_link')],
@@ -97,6 +98,15 @@ class Counts:
     certificates: int = 0
     contradicted: int = 0
     intervals: list[int] = field(default_factory=list)
+
+    def __str__(self):
+        return (
+            f'hits {self.scenes["hit"]}, {self.short} of them shorter than a setpoint, '
+            f'missed {self.wrong["hit"]}; clear {self.scenes["clear"]}, '
+            f'false {self.wrong["clear"]}; within 5 um {self.near}; '
+            f'certificates {self.certificates}, contradicted {self.contradicted}; intervals '
+            f'mean {np.mean(self.intervals):.0f}, most {max(self.intervals)}'
+        )
 
 
 @numba.njit
@@ -367,17 +377,13 @@ def main():
             if counts.scenes['hit' if hits else 'clear'] < wanted:
                 judge(counts, number, hits)
         number += 1
+        if number % OFTEN == 0:
+            print(counts, flush=True)
     if not (options.quick or options.scenes):
         programs()
         stock()
+    print(counts)
     share = counts.wrong['clear'] / max(counts.scenes['clear'], 1)
-    print(
-        f'hits {counts.scenes["hit"]}, {counts.short} of them shorter than a setpoint, '
-        f'missed {counts.wrong["hit"]}; clear {counts.scenes["clear"]}, '
-        f'false {counts.wrong["clear"]}; within 5 um {counts.near}; '
-        f'certificates {counts.certificates}, contradicted {counts.contradicted}; intervals '
-        f'mean {np.mean(counts.intervals):.0f}, most {max(counts.intervals)}'
-    )
     return int(bool(counts.wrong['hit'] or counts.contradicted) or share > 0.01)
 
 

@@ -134,6 +134,7 @@ class FeedrateNode(LifecycleNode):
             self._session.end_path,
             self._diagnostics,
             gate=attrgetter('segments'),
+            gives_way=lambda _: not self._session.executing,
         )
         count = len(self._transform.machine.axis_names)
         watch_machine(self, self._see_machine, count, self._diagnostics)

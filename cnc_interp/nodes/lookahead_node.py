@@ -139,6 +139,7 @@ class LookaheadNode(Node):
             self._end,
             self._diagnostics,
             gate=self._blocks_of,
+            gives_way='block_batches'.__eq__,  # program_node sends one program after another
         )
         self._pace = Pace(self, WORK_PERIOD, self._work)
 

@@ -81,6 +81,7 @@ class MachineNode(LifecycleNode):
             self._see_refusal,
             self._diagnostics,
             gate=self._pass,
+            gives_way=lambda _: self._has_not_begun,
         )
         self._inlet.buffered_time = 0.0
         self._coming = NO_RUN  # was started, but no setpoint of it has come yet
@@ -141,10 +142,11 @@ class MachineNode(LifecycleNode):
         """Hold back the first chunks of a joining plan until there are enough."""
         self._pace.wake()
         receiver = self._inlet.receiver
-        new = chunk.first_sample == 0 and chunk.program_id != receiver.run_id.program_id
-        if new and self._playback.state.state is State.IDLE and not self._playback.plans.played:
-            receiver.make_way(run_id_of(chunk))
         return self._gate.passed(chunk, receiver.run_id, receiver.limit)
+
+    @property
+    def _has_not_begun(self) -> bool:
+        return self._playback.state.state is State.IDLE and not self._playback.plans.played
 
     def _check(self, chunk: SetpointChunk) -> None:
         playback, run_id, begins = self._playback, run_id_of(chunk), chunk.first_sample == 0

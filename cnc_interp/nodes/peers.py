@@ -15,7 +15,7 @@ from cnc_interp.nodes.streams import hear_statuses
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.message_checks import check_state
-from cnc_interp.wire.run_messages import machine_report, run_id_of
+from cnc_interp.wire.run_messages import ends, machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
 #: Waits after which the machine continues by itself, without cycle_start.
@@ -116,7 +116,7 @@ class Peers:
             # A plan that joins too late does not end the run.
             if status is None or status.refusal_kind in (Refusal.NONE, Refusal.TOO_LATE):
                 continue
-            if self.knows(stream, run_id):
+            if self.knows(stream, run_id) or ends(status, run_id):
                 return Refusal(status.refusal_kind), str(status.refusal)
         return Refusal.NONE, ''
 

@@ -139,7 +139,7 @@ class PlanningSession:
         self._continue_at = math.nan
         self._segments: deque[Any] = deque()
         self._machine: MachineReport | None = None  # since the run began
-        self._executing = False  # the machine has begun the run and has not completed it
+        self.executing = False  # the machine has begun the run and has not completed it
         self._received = Received()
         self._kept: Kept | None = None  # until the machine has answered
         self._asked_at = self._revised_at = -math.inf
@@ -153,7 +153,7 @@ class PlanningSession:
     def begin(self, run_id: RunId, continue_at: float) -> None:
         self._change(Change.BEGIN)
         self.run_id, self.path_end, self._continue_at = run_id, PathEnd.OPEN, continue_at
-        self.planner, self.task, self._machine, self._executing = None, None, None, False
+        self.planner, self.task, self._machine, self.executing = None, None, None, False
         self.sent_before = self.joins_at = self._plans = 0
         self._kept, self._lead = None, LEAD
         self._segments.clear()
@@ -170,7 +170,7 @@ class PlanningSession:
     def see_machine(self, report: MachineReport) -> None:
         self._machine = report
         if self.run_id and report.run_id.same_attempt(self.run_id):
-            self._executing = not report.completed
+            self.executing = not report.completed
         if self.planner is not None and report.run_id.program_id == self.run_id.program_id:
             self.planner.stream.functions.told(report.functions)
 
@@ -195,7 +195,7 @@ class PlanningSession:
             return None
         report = self._machine
         left = report is not None and not report.run_id.same_attempt(self.run_id)
-        if self._executing and left:
+        if self.executing and left:
             self.give_up(Refusal.GIVEN_UP, LEFT)
         if self.activity is Activity.WAITING:
             self._find_place()

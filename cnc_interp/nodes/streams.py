@@ -18,7 +18,7 @@ from cnc_interp.nodes.node_main import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
 from cnc_interp.nodes.seals import Ear, Heard, SealedPublisher, hear
 from cnc_interp.run.run_state import RunId
-from cnc_interp.wire.run_messages import run_id_of
+from cnc_interp.wire.run_messages import ends, run_id_of
 from cnc_interp.wire.seals import SIZE
 from cnc_interp.wire.window_protocol import WindowedReceiver, WindowedSender
 
@@ -92,11 +92,13 @@ class Inlet:
         on_refusal: Callable[[], None],
         diagnostics: Diagnostics,
         gate: Callable[[Any], list[Any]] = lambda message: [message],
+        gives_way: Callable[[str], bool] = lambda topic: False,
     ):
+        """``gives_way``: whether the run gives way to the next one on its topic."""
         self.receiver = receiver
         self.buffered_time = math.nan
         self._check, self._on_message, self._on_refusal = check, on_message, on_refusal
-        self._gate = gate
+        self._gate, self._gives_way = gate, gives_way
         self._diagnostics, self._logger = diagnostics, node.get_logger()
         self._told: tuple[Any, ...] = ()
         self._told_at = -math.inf
@@ -145,7 +147,11 @@ class Inlet:
         receiver = self.receiver
         for passed in self._gate(message):
             program = receiver.run_id.program_id
-            if program == passed.program_id and topic != self._topic:
+            run_id, _, _, begins = numbers_of(passed)
+            new = begins and run_id.program_id != program and topic == self._topic
+            if new and self._gives_way(topic):
+                receiver.make_way(run_id)
+            if program == run_id.program_id and topic != self._topic:
                 self._ears[topic].ignore(f'is for the run that comes on {self._topic}')
                 return
             self._enter(passed)
@@ -307,7 +313,7 @@ class Outlet:
     @property
     def refused(self) -> Refusal:
         peer = self.peer
-        if peer is None or run_id_of(peer) != self.sender.run_id:
+        if peer is None or not ends(peer, self.sender.run_id):
             return Refusal.NONE
         return Refusal(peer.refusal_kind)
 

@@ -12,7 +12,7 @@ from cnc_interp_msgs import msg
 from cnc_interp_msgs.action import RunProgram
 from diagnostic_msgs.msg import KeyValue
 
-from cnc_interp.core import SettingsError
+from cnc_interp.core import Refusal, SettingsError
 from cnc_interp.program.blocks.block_modes import ActiveModes
 from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import JobSetup, Position
@@ -81,6 +81,17 @@ def coordinates_from(modes: msg.ModalState) -> ProgramCoordinates:
 def run_id_of(message: Any) -> RunId:
     """Return the run that a message belongs to; without a field ``plan`` its plan is 0."""
     return RunId(message.program_id, message.attempt, getattr(message, 'plan', 0))
+
+
+#: Refusals of the machine that end all attempts at a run and all its plans.
+OF_PROGRAM = (Refusal.GIVEN_UP, Refusal.MACHINE_FAULT)
+
+
+def ends(status: msg.StreamStatus, run_id: RunId) -> bool:
+    """Return whether the refusal in a status ends a run, or this attempt at it."""
+    told = run_id_of(status)
+    same_program = told.program_id == run_id.program_id and status.refusal_kind in OF_PROGRAM
+    return bool(status.refusal_kind) and (told == run_id or same_program)
 
 
 def setup_table(

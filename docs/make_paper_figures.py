@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,13 +35,12 @@ from cnc_interp.program import Program, read_program
 from cnc_interp.report.corners import lengths
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import top_parameters
-from cnc_interp.smoothing.corners.paper_parametrization import STEP as PAPER_STEP
 from cnc_interp.smoothing.segments import CORNER
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / 'benchmarks'))
 
-from whole_plans import Plan, plan_program, summary_of  # noqa: E402
+from whole_plans import Plan, plan_program  # noqa: E402
 
 PAGE = HERE / 'how_it_works' / 'corner_rounding.md'
 MARKERS = '<!-- tables: begin -->', '<!-- tables: end -->'
@@ -51,8 +50,8 @@ FEED = 3000.0
 MARGIN = 3.0 * MM
 #: Steps of the discrete third derivative: at F one period on the pocket; fine on the pyramid [m].
 POCKET_STEP, PYRAMID_STEP = 0.05 * MM, 0.002 * MM
-#: Top curves and L2/L1 in the tables; None: chosen for each corner.
-CURVES = (('tolerance', 1.4), ('in_step', None))
+#: Rows of the tables: parametrization, top curve, L2/L1 (None: chosen for each corner).
+WAYS = (*((f, 'tolerance', 1.4) for f in ('linear', 'paper', 'exact')), ('exact', 'in_step', None))
 #: Like for like: the same curves (the paper's top, its ratio), only the parametrization differs.
 PAPER_CURVES: dict[str, Any] = {'top': 'tolerance', 'corner_ratio': 1.4}
 
@@ -394,35 +393,17 @@ def jump_text(value: float) -> str:
 
 
 def table(program: Program, machine: Machine) -> list[str]:
-    """Return the Markdown table of all ways to make the corners of one program."""
-    head = 'f | top | L2/L1 | E | q_s | q_ss | q_sss XYZ | q_sss AC | stops | corner, s | whole, s'
-    lines, largest = [f'| {head} |', '|---' * 11 + '|'], 0.0
-    ways = [('linear', False), ('paper', False), ('exact', False), ('exact', True)]
-    for (f, septic), (top, ratio) in product(ways, CURVES):
-        settings = Settings(parametrization=f, top=top, corner_ratio=ratio, septic=septic)
+    """Return the Markdown table of the ways to make the corners of one program."""
+    head = 'f | top | L2/L1 | q_s | q_ss | q_sss XYZ | q_sss AC | stops | corner, s | whole, s'
+    lines = [f'| {head} |', '|---' * 10 + '|']
+    for f, top, ratio in WAYS:
+        settings = Settings(parametrization=f, top=top, corner_ratio=ratio)
         run = Run(plan_program(program, machine, settings))
-        use = summary_of(run.plan)['largest_use']
-        largest = max(largest, *(x for axes in use.values() for x in axes.values()))
         jump = run.jumps()
-        e = ('septic' if septic else 'quintic') if f == 'exact' else '-'
-        cells = [f, top, f'{ratio:g}' if ratio else 'auto', e]
+        cells = [f, top, f'{ratio:g}' if ratio else 'auto']
         cells += [jump_text(jump[k].max()) for k in range(2)] + [jump_text(x) for x in jump[2]]
         cells += [f'{run.stops_inside()}', f'{run.corner_time():.3f}', f'{run.cycle_time:.3f}']
         lines.append('| ' + ' | '.join(cells) + ' |')
-    proof = 'Largest use of any axis limit in these plans, by differences of the 1 ms setpoints: '
-    return [*lines, '', f'{proof}{largest:.1%}.']
-
-
-def sensitivity_table(points: list[dict[str, Any]]) -> list[str]:
-    """Return the numbers of Fig. 6 for several steps."""
-    lines = [
-        '| step (mm) | limit at u_top1 = u_bottom1 (mm/min) | at the optimum | halved by |',
-        '|---|---|---|---|',
-    ]
-    for point in points:
-        speeds = [point['limit'](point[key]) / MM_PER_MIN for key in ('linear', 'best')]
-        numbers = f'{point["ds"] / MM:.2f} | {speeds[0]:.0f} | {speeds[1]:.0f}'
-        lines.append(f'| {numbers} | {point["half"]:.1e} |')
     return lines
 
 
@@ -444,21 +425,18 @@ def main() -> None:
     ways['in step'] = Settings(corner_ratio=1.4)
     runs = {name: Run(plan_program(pocket, machine, way)) for name, way in ways.items()}
     small = {name: Run(plan_program(pyramid, machine, way)) for name, way in ways.items()}
-    steps = (POCKET_STEP, PAPER_STEP * runs['linear'].entry_speed)
-    points = [first_point(runs['linear'], step) for step in steps]
     mpl.use('agg')
     PICTURES.mkdir(exist_ok=True)
     with mpl.rc_context(STYLE):
         draw_parametrization(runs)
-        draw_sensitivity(points[0])
+        draw_sensitivity(first_point(runs['linear'], POCKET_STEP))
         draw_connection(runs, POCKET_STEP, 6.0 * MM, 1.03 * FEED, 'pocket')
         draw_swept(runs)
         draw_times(runs)
         draw_pyramid(small['exact'])
         draw_connection(small, PYRAMID_STEP, 0.06 * MM, 320.0, 'pyramid_zoom')
-    tables = sensitivity_table(points), table(pocket, machine), table(pyramid, machine)
-    titles = 'First top point of the pocket corner', 'Pocket corner, 3 mm', 'Pyramid, 0.02 mm'
-    write_page(list(zip(titles, tables, strict=True)))
+    programs = {'Pocket corner, 3 mm': pocket, 'Pyramid, 0.02 mm': pyramid}
+    write_page([(title, table(program, machine)) for title, program in programs.items()])
 
 
 if __name__ == '__main__':

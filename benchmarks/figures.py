@@ -53,8 +53,7 @@ def where(held: dict[str, Figures]) -> str:
     commits = ', '.join(dict.fromkeys(each['commit'] for each in held.values()))
     loads = [each['load'] for each in held.values()]
     return (
-        f'Commit {commits}; load average {min(loads):.0f} to {max(loads):.0f} '
-        f'on {os.cpu_count()} cores while it ran.'
+        f'Commit {commits}; load {min(loads):.0f} to {max(loads):.0f} on {os.cpu_count()} cores.'
     )
 
 

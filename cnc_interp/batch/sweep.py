@@ -294,20 +294,22 @@ def write_page(found: dict[Point, Found], file: Path) -> None:
         '</p>',
         html.section(
             'Time and accuracy',
-            'Every point that moves. Those of the line are best: no other point is at least as '
-            'good in time, scallop and error.',
+            'All points that give a motion. No other point is at least as good in time, scallop '
+            'and error as those on the line.',
             html.drawing(_scatter(found, best, start)),
         ),
         html.section(
             'The best',
-            'At a limit: share of the time in which an axis, or the feed, is at its limit. This '
-            'is what holds the motion.',
+            'At a limit: share of the time in which an axis, or the feed, is at its limit. These '
+            'limits keep the motion from being faster.',
             _table(found, best, start),
         ),
     ]
     for name in names:
         drawn = html.drawing(_over(found, name))
-        body.append(html.section(f'--{escape(name)}', 'Each point over this option.', drawn))
+        body.append(
+            html.section(f'--{escape(name)}', 'Each point over its value of this option.', drawn)
+        )
     body.append(_faults(found))
     html.write(file, 'sweep', '\n'.join(body), LOCAL_STYLE)
 

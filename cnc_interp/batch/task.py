@@ -173,8 +173,8 @@ class Jobs:
         ]
         if not found:
             raise InterpError(
-                f'no programs here; files are found by {" ".join(sorted(PROGRAM_SUFFIXES))}, '
-                'others when they are named'
+                f'no programs here; name the files, or a folder of files that end with one of '
+                f'{" ".join(sorted(PROGRAM_SUFFIXES))}'
             )
         self._jobs = found
 

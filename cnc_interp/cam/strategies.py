@@ -146,7 +146,7 @@ _ALL = (
             ),
             StrategyOption(
                 'no-restart',
-                'never start afresh: the recursion of the paper, and an error where it ends',
+                'never start again; where the recursion of the paper ends, report an error',
                 False,
             ),
             StrategyOption(

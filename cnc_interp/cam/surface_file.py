@@ -85,7 +85,7 @@ def read_part(
     for key in contents:
         demand(
             key in known,
-            file.fault(f'{key} has no meaning for {kind}; it has {", ".join(KEYS[kind])}'),
+            file.fault(f'{kind} has no key {key}; its keys are {", ".join(KEYS[kind])}'),
         )
     for key in KEYS[kind]:
         refuse_if(key not in contents and key not in OPTIONAL, file.fault(f'{key} is missing'))

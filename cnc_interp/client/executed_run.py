@@ -221,7 +221,8 @@ class ToldStates:
             if share > max(values):
                 self._too_fast = (
                     f'line {rows[0, LINE]:.0f}: its plan has a {name} override of {share:.1%}, '
-                    f'but in the {OBEYED:g} s before the machine told {max(values):.1%} at most'
+                    f'but in the {OBEYED:g} s before it the machine reported {max(values):.1%} '
+                    'at most'
                 )
 
     def _changes(self, block: FloatArray, count: int) -> tuple[list[int], list[int]]:

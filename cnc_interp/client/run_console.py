@@ -214,7 +214,7 @@ class RunConsole:
         self._listened = now
         if now - peers.heard > DEAF:
             raise InterpError(
-                f'nothing was heard of the nodes for {DEAF:g} s, so they are ended: the machine '
+                f'the nodes have sent nothing for {DEAF:g} s, so they are ended: the machine '
                 'stops on its path; run the program again'
             )
 

@@ -53,7 +53,7 @@ def add_batch_commands(commands: Any) -> None:
         option('--rate', 'what an hour of the machine costs', positive, 'COST'),
         option(
             '--memory',
-            'most memory of a worker (that of the computer, shared among them)',
+            'largest memory of a worker (that of the computer, divided among them)',
             positive,
             'GB',
         ),
@@ -72,7 +72,11 @@ def add_batch_commands(commands: Any) -> None:
         cluster_command,
         'cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
         'tcp://192.168.1.10:8786',
-        option('--join', 'work for the scheduler there, start none here', metavar='ADDRESS'),
+        option(
+            '--join',
+            'add workers to a running scheduler',
+            metavar='ADDRESS',
+        ),
         option(
             '--workers',
             'programs that are planned here at the same time, 0: a scheduler only (one for '

@@ -40,7 +40,7 @@ def add_cam_commands(commands: Any) -> None:
         number(
             '--reserve',
             0.0,
-            'part of the scallop height for smoothing and drives: passes leave the rest',
+            'part of the scallop height that is reserved for smoothing and drives',
             'UM',
         ),
         *map(
@@ -81,7 +81,7 @@ def add_cam_commands(commands: Any) -> None:
         _face('face of a STEP file', 1),
         *_mill(),
         number('--scallop', 10.0, 'scallop height of the colour scale', 'UM'),
-        flag('--executed', 'take the motion of the drives, not the setpoints'),
+        flag('--executed', 'use the simulated motion of the drives instead of the setpoints'),
         option('--out --html', 'page to write', Path, 'FILE'),
         *_cutting(),
         option(
@@ -154,7 +154,7 @@ def _cutting() -> tuple[Adds, ...]:
         machine_option(),
         option(
             '--compensate',
-            'machine whose drives are the model that is compensated in the executed motion',
+            'machine file whose models of the drives compensate the executed motion',
             metavar='M',
         ),
     )

@@ -39,7 +39,7 @@ def add_operate_commands(commands: Any) -> None:
         flag(
             '--pose',
             'the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
-            'the tool axis; what is not named stays',
+            'the tool axis; what is not named stays unchanged',
         ),
         option(
             '--tool',
@@ -95,7 +95,7 @@ def add_operate_commands(commands: Any) -> None:
             'MM',
         ),
         option('--pocket', 'its place in the tool changer; 0: none', int),
-        option('--remark', 'what tells it from others', metavar='TEXT'),
+        option('--remark', 'a remark, such as its name', metavar='TEXT'),
         option(
             '--holder',
             'its holder, by its name in the scene; empty for the usual one',
@@ -116,7 +116,7 @@ def add_operate_commands(commands: Any) -> None:
         ),
         flag('--inch', 'lengths in these files are in inches'),
         flag('--remove', 'remove the tool from the table'),
-        flag('--load', 'the tool is in the spindle; 0: no tool is'),
+        flag('--load', 'record this tool as the one in the spindle; 0: the spindle is empty'),
         *shown,
     )
     command(
@@ -150,7 +150,7 @@ def add_operate_commands(commands: Any) -> None:
     command(
         commands,
         probe_command,
-        'probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3',
+        'probe (lists all cycles); cnc-interp probe bore diameter 20 ball 3',
         option('cycle', 'what to find', metavar='CYCLE', nargs='?', default=''),
         option(
             'words',

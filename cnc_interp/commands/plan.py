@@ -35,7 +35,7 @@ def add_plan_command(commands: Any) -> None:
         flag('--save-stock', 'write the remaining stock as stock.stl among the plan files'),
         option(
             '--stock-stages',
-            'write stock_stages.npz: the remaining stock at so many places of the path',
+            'write stock_stages.npz: the remaining stock at N places along the path',
             int,
             'N',
             default=0,
@@ -43,7 +43,7 @@ def add_plan_command(commands: Any) -> None:
         *(
             option(
                 f'--place-{axis.lower()}',
-                f'clamp the workpiece so far from its usual place, along {axis}',
+                f'shift of the clamped workpiece along {axis} from its usual place',
                 float,
                 'MM',
                 default=0.0,
@@ -58,7 +58,7 @@ def add_plan_command(commands: Any) -> None:
         ),
         option(
             '--turn',
-            'clamp it turned about Z on the table; C counts from the turned workpiece',
+            'turn of the clamped workpiece about Z; C counts from the turned workpiece',
             float,
             'DEG',
             default=0.0,

@@ -96,7 +96,7 @@ def _content(found: Import) -> dict[str, Any]:
     extra = sorted(letters & set(EXTRA)) if name == 'trivkins' else []
     demand(
         letters == {*'XYZ', *rotary, *extra} and (rotary in ROTARY),
-        f'{name} with {joints or "no axes"}: known are XYZ{KINEMATICS[name]}'
+        f'{name} with {joints or "no axes"}: the axes must be XYZ{KINEMATICS[name]}'
         + ('' if KINEMATICS[name] else ' with at most two of A, B, C, and U, V, W')
         + '; write the file from an example in config/machines',
         'COORDINATES',
@@ -243,7 +243,7 @@ class _Axis:
             return None
         if (search > 0.0) != (at - low >= high - at):
             self.found.ignore(
-                'a switch is sought towards the nearer end of the travel',
+                'homing searches for the switch towards the nearer end of the travel',
                 f'HOME_SEARCH_VEL of {self.letter}',
             )
             return None

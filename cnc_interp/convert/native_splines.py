@@ -296,7 +296,7 @@ class SplineMoves:
             plain = self._plain_jump() / DEG * MM
             notes.append(
                 'with five control points for each corner, as in the paper, the rate would jump '
-                f'by up to {plain:.2g} deg/mm: the second points are more and carry the connection'
+                f'by up to {plain:.2g} deg/mm; more second points are written to avoid this'
             )
         return notes
 

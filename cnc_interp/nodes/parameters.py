@@ -34,7 +34,7 @@ def declared(choice: Choice) -> Declared:
 
 MACHINE = Declared('machine', DEFAULT_MACHINE, 'Machine: a bundled one, or path of a YAML file')
 AUTOSTART = Declared('autostart', True, 'Configure and activate without waiting for a command')
-RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s]', 0.02, 10.0)
+RESEND = Declared('resend_after', 0.25, 'Time until a lost message is resent [s]', 0.02, 10.0)
 PEER_TIMEOUT = Declared(
     'peer_timeout', 3.0, 'Silence after which another node counts as lost [s]', 0.5, 60.0
 )
@@ -55,7 +55,7 @@ FEEDRATE = (
     *(each for each in SCENE if each.name == 'setup'),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
-    Declared('chunk_time', 0.005, 'Motion in a message, at least a setpoint [s]', 0.0, 0.1),
+    Declared('chunk_time', 0.005, 'Motion in a message, at least one setpoint [s]', 0.0, 0.1),
     RESEND,
     PEER_TIMEOUT,
 )
@@ -64,7 +64,7 @@ MACHINE_NODE = (
     AUTOSTART,
     *of_settings(Stage.MOTION),
     *SCENE,
-    Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
+    Declared('buffer_time', 1.0, 'Motion that the machine buffers [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
     Declared('position_file', '', 'File that keeps the positions of the axes without power'),
@@ -75,7 +75,7 @@ MACHINE_NODE = (
 PROGRAM = (
     MACHINE,
     *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
-    Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
+    Declared('program_folders', [''], 'Folders and files of programs that a goal may name'),
     Declared('run_history', '', 'CSV file with a row for each run; empty: runs.csv of the user'),
     PEER_TIMEOUT,
     RESEND,
@@ -91,7 +91,7 @@ MARKERS = (
 BATCH = (
     MACHINE,
     *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
-    Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
+    Declared('program_folders', [''], 'Folders and files of programs that a goal may name'),
     Declared('batch_folder', '', 'Folder for tables and pages'),
     Declared('workers', 1, 'Programs that are planned at the same time', 1, 1024),
     Declared('longest_planning', 3600.0, 'Longest planning time of a program [s]', 1.0, 1e6),

@@ -138,8 +138,8 @@ class SetupServices:
         note = ''
         if turned and set(values) & set('XYZ') and not frame.of_tip:
             note = (
-                f'; {" and ".join(turned)} not at 0: right for axis positions, with TCP touch off '
-                'at 0'
+                f'; {" and ".join(turned)} not at 0: this suits programs of axis positions; for '
+                'programs with TCP, touch off with the rotary axes at 0'
             )
         changes = tables.touch_off_changes(setup, request.offset, values, reads, frame, self._zero)
         return changes, note

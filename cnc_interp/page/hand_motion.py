@@ -285,7 +285,7 @@ class PoseField(NumberFields):
         unit: ShownUnit,
         command: Command,
     ):
-        title = 'go to a pose: tip from the machine file’s zero, no offsets, mm; tool axis'
+        title = 'go to a pose: tool tip from the zero of the machine file (mm), and tool axis'
         super().__init__(title, 'pose', POSE, unit, command)
         self._nodes, self._speed = nodes, speed
         with self._box:
@@ -293,7 +293,7 @@ class PoseField(NumberFields):
         self._reading_key('go there', self._go).classes('moves')
         self._axes = tuple(axes)
         with self._box, ui.element('div').classes('zeros wide'):
-            ui.label('go to zero, as a rapid: hold').classes('small')
+            ui.label('go to zero as a rapid: hold the key').classes('small')
             for name in sorted(self._axes, key='Z'.__eq__):  # Z stands apart
                 made = key(f'{name} 0', f'go to zero {name}').classes(f'moves held {name.lower()}')
                 made.on(
@@ -320,7 +320,7 @@ class PoseField(NumberFields):
 
 class TouchOffField(NumberFields):
     def __init__(self, setup: SetupClient, axes: Iterable[str], unit: ShownUnit, command: Command):
-        title = 'touch off: here reads, in the coordinates of the program, mm or °'
+        title = 'touch off: coordinates of this place in the program, mm or °'
         super().__init__(title, 'here', axes, unit, command)
         self._setup = setup
         self._reading_key('touch off', self._touch_off).classes('wide changes')

@@ -181,7 +181,7 @@ class Page:
     def _zero_key(self, letter: str) -> None:
         act = partial(self._command_in_sight, partial(self._desk.zero, letter))
         made = key('0', f'zero {letter}', act, 'primary', 'dense flat').classes('changes')
-        made.tooltip(f'zero {letter}: reads 0 here from now on')
+        made.tooltip(f'set the coordinate {letter} of this place to 0')
         self._zeros.append(made)
 
     async def _undo(self) -> None:
@@ -362,7 +362,7 @@ class Page:
         words['start'] = self._start_text()
         bodies, words['hit'] = desk.hit()
         if self._at_hit and desk.planned_hit is not None:
-            words['hit'] = f'drawn there, not where the machine is: {words["hit"]}'
+            words['hit'] = f'the picture shows the hit, not where the machine is: {words["hit"]}'
         self._view.mark(bodies, desk.tool)
         if self._changed('hits', bool(bodies)):
             self._hit.set_visibility(bool(bodies))

@@ -50,7 +50,7 @@ class StartField:
         with ui.element('div').classes('start-field'):
             self._line = self._field('line', 'start line')
             self._pass = self._field('pass', 'start pass')
-            self._pass.tooltip('which execution of the line, where loops or calls repeat it')
+            self._pass.tooltip('which execution of the line, if loops or calls repeat it')
             here, top = self.keys = key('start here'), key('from the top')
             act_on_shown(here, 'click', (self._line, self._pass), self._take)
             top.on('click', lambda: self._give(0, 0))

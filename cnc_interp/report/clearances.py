@@ -37,7 +37,10 @@ def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
     apart = distances(placed, machine, plan, pairs, rows) / MM
     bodies = placed.scene.bodies
     names = [f'{bodies[a].name} and {bodies[b].name}' for a, b in pairs]
-    text = 'Between the bodies of the scene at {} setpoints; the check has no gaps between them.'
+    text = (
+        'The figure shows the distances between the bodies of the scene at {} setpoints; the '
+        'check also covers the motion between them.'
+    )
     content = html.drawing(_over_time(series, rows, apart, names))
     content += _table(placed, series, rows, apart, pairs, names)
     pictures = [

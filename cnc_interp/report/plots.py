@@ -254,19 +254,19 @@ PLOTS = (
     Plot(
         'Feedrate',
         'The feed is the programmed one where the axes allow it. Eq. 10 of the paper neglects '
-        'tangential acceleration and jerk, so the planned feed may exceed it on a slope.',
+        'tangential acceleration and jerk, so the planned feed may exceed it where it changes.',
         feed_figure,
     ),
     Plot(
         'Use of the axis limits',
-        'By differences of the emitted positions at the interpolation period, in percent of '
-        'each limit. The number in the corner is the largest value.',
+        'Differences of the emitted positions at the interpolation period give the use of each '
+        'limit, in percent. The number in the corner is the largest value.',
         axes_figure,
     ),
     Plot(
         'Deviation from the program',
-        'Of the tool tip, and of the point on the tool axis at the flank height of '
-        '{flank_height:g} mm.',
+        'The upper figure shows the deviation of the tool tip, the lower one that of the point '
+        'on the tool axis at the flank height of {flank_height:g} mm.',
         error_figure,
     ),
 )
@@ -276,8 +276,9 @@ def tool_error_section(errors: tuple[ToolError, ToolError], period: float) -> st
     plain, compensated = errors
     return html.section(
         'Error at the tool',
-        'By the drives of the machine file: the tip from the commanded path, and the tool axis '
-        f'from the commanded one. As they are: {_largest(plain)}. '
+        'The drives of the machine file were simulated. The figure shows how far the tip is from '
+        'the commanded path, and the tool axis from the commanded one. '
+        f'As they are: {_largest(plain)}. '
         f'Compensated: {_largest(compensated)}.',
         html.drawing(_figure(plain, compensated, period)),
     )

@@ -241,8 +241,8 @@ def time_section(series: Series, tool_error: FloatArray | None = None) -> str:
     )
     return section(
         'Where the time goes',
-        f'Lost are {found.total:.3f} s: what the motion takes beyond its path at the programmed '
-        'feed. Left, the limits that hold it then; what several hold together is shared. Right, '
-        'the lines that lose most.',
+        f'The motion takes {found.total:.3f} s longer than its path at the programmed feed. The '
+        'left table names the limits that cause this; limits that act together share the time. '
+        'The right table names the lines that lose most.',
         f'<div class="pair">{both}</div>',
     )

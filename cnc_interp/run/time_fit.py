@@ -72,7 +72,9 @@ class TimedProgram:
         stream = open_program(path, Transform.of(machine), settings)
         blocks = stream.read().blocks
         if (np.diff(blocks.line_number) < 0).any():
-            raise InterpError(f'{path}: repeats lines; times are told by line, so take another')
+            raise InterpError(
+                f'{path}: repeats lines, but times are recorded by line; take another'
+            )
         return TimedProgram(path.name, blocks, stream.functions, settings)
 
     @property

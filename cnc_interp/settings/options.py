@@ -57,7 +57,8 @@ class Settings:
     dialect: str = kinds.one_of(
         ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'),
         READING,
-        'whose control reads the program; auto: that of the machine, else the one its words tell',
+        'control for which the program is written; auto: that of the machine file, or as its '
+        'words show',
     )
     arc_centres: str = kinds.one_of(
         ('auto', 'start', 'absolute', 'reversed'),
@@ -114,7 +115,7 @@ class Settings:
     septic: bool = kinds.switch(
         False,
         SMOOTHING,
-        'continue the third derivative of the tool axis too',
+        'make the third derivative of the tool axis continuous, too',
         for_comparison=True,
     )
     compress: bool = kinds.switch(
@@ -148,7 +149,7 @@ class Settings:
     )
     compensation: str | None = kinds.name(
         MOTION,
-        'machine whose drives are the model that is compensated, as identify writes it',
+        'machine file whose models of the drives are compensated, as identify writes it',
         option='compensate',
         metavar='M',
     )
@@ -164,7 +165,7 @@ class Settings:
         nothing='none',
     )
     scene: Path | None = kinds.file(  # noqa: RUF009 (a field)
-        PLANNING, 'YAML file of bodies that must keep apart: machine, fixtures, stock and tools'
+        PLANNING, 'YAML file of bodies that must not touch: machine, fixtures, stock and tools'
     )
     collision: str = kinds.one_of(
         ('refuse', 'warn'), PLANNING, 'what happens to a program that hits a body of the scene'

@@ -40,7 +40,7 @@ def test_a_run_that_hears_nothing_any_more_ends(monkeypatch):
 
     monkeypatch.setattr(run_console, 'DEAF', 1.5)
     monkeypatch.setattr(OperatorClient, 'serve', serve_until_motion)
-    with pytest.raises(InterpError, match=r'nothing was heard of the nodes for 1\.5 s'):
+    with pytest.raises(InterpError, match=r'the nodes have sent nothing for 1\.5 s'):
         run_session(RunRequest(EXAMPLE, quiet=True))
 
 

@@ -197,7 +197,7 @@ def test_files_of_splines_and_grids_give_the_same_surface(tmp_path):
         ({'kind': 'plane', 'size_mm': [1]}, 'size_mm must hold 2 finite numbers'),
         ({'kind': 'plane', 'size_mm': [1, 'a']}, 'size_mm must hold 2 finite numbers'),
         ({'kind': 'plane', 'size_mm': [1, -2]}, 'size must be two positive lengths'),
-        ({'kind': 'plane', 'size_mm': [9, 9], 'hight': 2}, 'hight has no meaning for plane'),
+        ({'kind': 'plane', 'size_mm': [9, 9], 'hight': 2}, 'plane has no key hight'),
         ({'kind': 'bumps', 'size_mm': [9, 9], 'bumps_mm': [[0, 0, 1, 0]]}, 'a positive width'),
         ({'kind': 'grid', 'points_mm': [[[0, 0, 0]] * 3] * 3}, 'at least 4 x 4 points'),
         (

@@ -95,7 +95,7 @@ def test_a_fourth_axis_is_a_table_and_its_place_is_told(tmp_path, capsys, letter
     [
         ('KINEMATICS = xyzac-trt-kins', 'KINEMATICS = pumakins', 'pumakins is not known'),
         ('KINEMATICS = xyzac-trt-kins', 'OLD = 1', 'no KINEMATICS in [KINS]'),
-        ('X Y Z A C', 'X Y Z A', 'xyzac-trt-kins with XYZA: known are XYZAC;'),
+        ('X Y Z A C', 'X Y Z A', 'xyzac-trt-kins with XYZA: the axes must be XYZAC;'),
         ('LINEAR_UNITS = mm', 'LINEAR_UNITS = furlong', "'furlong' is no unit"),
         ('MAX_VELOCITY = 500', 'MAX_VELOCITY = fast', 'MAX_VELOCITY of X: must be a number'),
         ('[AXIS_Z]', '[AXIS_Q]', 'MAX_VELOCITY: missing in [AXIS_Z]'),

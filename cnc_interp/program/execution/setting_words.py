@@ -188,7 +188,7 @@ def tolerances(at: Execution, word: str, contour: float | None, orientation: flo
     if wanted != USUAL and (contour or orientation):
         at.notice(
             word,
-            "the program's tolerance counts, not the one that was asked for; "
+            "the program's tolerance is used instead of that of the command; "
             'to change this: --force-tolerances',
         )
     mover.contour = settings.contour_tolerance if contour is None else contour * mover.unit

@@ -164,4 +164,4 @@ def dialect_of(source: Source, chosen: str) -> tuple[Dialect, str]:
     suffix = Path(source.name).suffix.lower()
     if suffix in _SUFFIXES:
         return _SUFFIXES[suffix], f'by its suffix {suffix}'
-    return PLAIN, 'nothing tells whose; --dialect does'
+    return PLAIN, 'no control is known; choose one by --dialect'

@@ -111,7 +111,7 @@ class Plan:
     planning_time: dict[str, float]  #: Seconds of each stage.
 
     def __repr__(self) -> str:
-        """Return a summary: what was planned, and how long it takes."""
+        """Return a summary with the program, the machine and the cycle time."""
         count, period = len(self.setpoints), self.settings.interpolation_period / MS
         return (
             f'<Plan of {self.program.source or "blocks"} on {self.machine.name}: '

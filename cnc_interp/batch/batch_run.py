@@ -1,4 +1,4 @@
-"""Carry out a batch; results that are already known are not computed again."""
+"""Run a batch; results of an earlier start are not computed again."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence

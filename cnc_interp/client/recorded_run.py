@@ -113,7 +113,7 @@ class RecordedRun:
         return replace(settings, interpolation_period=self.period)
 
     def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
-        """Yield the executed setpoints of the program; time counts from its start.
+        """Yield the executed setpoints of the program, with times from its start.
 
         The approach is left out, and so are motions by hand away from a hold and back.
 

@@ -43,7 +43,7 @@ NEEDED = (
 
 
 def counting(message: Any) -> RunId:
-    """Return what the executed setpoints are counted in: a run, or one motion by hand."""
+    """Return the run, or the motion by hand, to which the executed setpoints belong."""
     run_id = run_id_of(message)
     return run_id if run_id.program_id == JOG else RunId(run_id.program_id)
 

@@ -218,7 +218,7 @@ def _all_chunks(planner: RunPlanner, recorded: list[Chunk]) -> list[Chunk]:
 def _compared(recorded: list[Chunk], again: list[Chunk]) -> tuple[int, float]:
     """Return the number of equal setpoints, and the largest difference of a position.
 
-    If a stop tail or a wait differs, the last setpoint before it counts as different.
+    If a stop tail or a wait differs, the last setpoint before it is reported as different.
     """
     same, difference, alike = 0, 0.0, True
     for chunk, other in zip(recorded, again, strict=False):

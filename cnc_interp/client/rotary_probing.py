@@ -187,7 +187,7 @@ def probe_rotary_centres(
 ) -> tuple[RotaryCentres, str]:
     """Touch the ball at all poses; return the fitted geometry, and the machine as named.
 
-    The probe stands upright above the ball, not farther from it than four times ``beside``. Raises
+    The probe must be upright above the ball, at most four times ``beside`` away from it. Raises
     InterpError if a touch fails, or the touches do not determine the axes.
     """
     with connected_setup('probe', namespace, domain) as (client, setup, machine):

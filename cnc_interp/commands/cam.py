@@ -169,7 +169,7 @@ def iso_scallop_command(options: argparse.Namespace) -> int:
 
 
 def simulate_command(options: argparse.Namespace) -> int:
-    """Cut a surface with a program or a plan and measure what is left."""
+    """Cut a surface with a program or a plan, and measure the heights that remain."""
     from cnc_interp.cam.make_program import simulate_motion
     from cnc_interp.cam.request import SimulateRequest
 

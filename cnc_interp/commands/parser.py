@@ -34,7 +34,7 @@ class CommandParser(argparse.ArgumentParser):
     """A parser that reports mistakes in one line, with the option that may be meant."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse; reject an unknown option where the options of the command are known."""
+        """Parse the arguments; reject an unknown option, with the nearest known one."""
         found, rest = super().parse_known_args(args, namespace)
         unknown = next((word for word in rest if word.startswith('--') and word != '--'), None)
         if unknown is not None:
@@ -171,7 +171,7 @@ def count(text: str) -> int:
 
 
 def write(text: str, file: Path | None) -> None:
-    """Write what a command makes to a file, or to the terminal."""
+    """Write the output of a command to a file, or to the terminal."""
     if file is None:
         print(text, end='')
     else:

@@ -274,7 +274,7 @@ def add_mtconnect_command(commands: Any) -> None:
 
 
 def mtconnect_command(options: argparse.Namespace) -> int:
-    """Serve what the machine does to MTConnect clients; it only reads, and moves nothing."""
+    """Serve the state of the machine to MTConnect clients, without commanding it."""
     import importlib.util
 
     if importlib.util.find_spec('lxml') is None:

@@ -237,7 +237,7 @@ class _Conversion:
     def _index(
         self, x: str, asked: str, command: str, actual: str, offset: str, unit: float
     ) -> tuple[str, str]:
-        """Make an axis count from its index; return the pins of its command and position.
+        """Let an axis count from its index pulse; return the pins of its command and position.
 
         At its index pulse an encoder restarts at 0. In that period ``index`` removes the jump from
         the position and adds it to the command, so that the machine sees a continuous position.

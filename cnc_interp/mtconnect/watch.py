@@ -49,7 +49,7 @@ SILENT, STATE = 'silent', 'state'  #: Codes of conditions that are not in diagno
 
 
 class MachineWatch(ServedNode):
-    """A node that only subscribes; ``know``: called with the machine once it is known."""
+    """A node that only subscribes. ``know`` is called with the machine once its name is known."""
 
     def __init__(self, namespace: str, domain: int | None):
         super().__init__('mtconnect_agent', namespace, domain)

@@ -179,7 +179,7 @@ class FeedrateNode(LifecycleNode):
         self._watch.hear()
 
     def _work(self) -> bool:
-        """Send what the window allows, then give the planning thread the most urgent task."""
+        """Send the setpoints that the window allows, then start the most urgent planning task."""
         session, outlet = self._session, self.outlet
         session.settings = self._inputs.settings
         outlet.pump()

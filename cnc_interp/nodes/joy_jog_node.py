@@ -63,7 +63,7 @@ class JoyJogNode(Node):
         self._beats.publish(beat)
 
     def _turn(self, joy: Joy) -> None:
-        """Move the axes by the new counts of their handwheels while the button is pressed."""
+        """While the button is pressed, move the axes by the new counts of their handwheels."""
         wheels = {axis: self._values[f'wheel.{axis.name}'] for axis in self._axes}
         now = {
             axis.name: float(joy.axes[k]) for axis, k in wheels.items() if 0 <= k < len(joy.axes)

@@ -249,7 +249,7 @@ class MachineNode(LifecycleNode):
             )
 
     def come_to_rest(self) -> bool:
-        """Stop on the path as at a feed hold; return whether the axes rest. Call it repeatedly."""
+        """Stop on the path like a feed hold; return whether the axes rest. Call it repeatedly."""
         if self._clock_of_drives is None:
             return True
         playback = self._playback

@@ -73,7 +73,7 @@ class SetupServices:
         self.use('', '', frozenset())
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:
-        """Change the table and publish it; return what was changed, or raise InterpError."""
+        """Change the table and publish it; return a text of the changes, or raise InterpError."""
         told = self._table.apply(changes, who)
         if told:
             self._node.get_logger().info(f'{who}: {told}')

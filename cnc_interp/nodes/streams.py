@@ -74,7 +74,7 @@ def hear_statuses(
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
-    """Return run, first number, count and whether a message begins a plan: a stream of its own."""
+    """Return run, first number and count of a message, and whether it begins a plan."""
     if isinstance(message, SetpointChunk):
         first, count = message.first_sample, len(message.sequences)
         return run_id_of(message), first, count, first == 0 or message.joins

@@ -173,7 +173,7 @@ class JogPad:
         return along_tool(self._machine, stands)
 
     def _end(self, name: str, sign: int) -> str:
-        """Return as text the end of travel at which an axis stands; empty if it can move on."""
+        """Return as text the end of travel that an axis has reached; empty if it can move on."""
         state = self._nodes.state
         if state is None or name not in (*self._names, TOOL):
             return ''

@@ -125,7 +125,7 @@ class EditorDialog:
 
 
 class MacroKeys:
-    """Keys for G-code lines of the machine file; a line that moves asks for confirmation."""
+    """Keys for macros of the machine file; those that move the machine need confirmation."""
 
     def __init__(self, desk: Desk, give: Callable[[str], Awaitable[bool]]):
         assert desk.machine is not None

@@ -51,7 +51,7 @@ def begin_child(name: str) -> None:
 
 
 def _end() -> None:
-    """End the fork server and its helper, and wait: they would hold files a moment longer."""
+    """End the fork server and its helper, and wait until they have closed their files."""
     server: Any = forkserver._forkserver
     helper: Any = resource_tracker._resource_tracker
     with contextlib.suppress(OSError):

@@ -25,7 +25,7 @@ SAME_VALUE = 1e-9  #: Largest relative difference of equal output values [-].
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     """Check that every function acts in order and at the begin of its block.
 
-    Of the machine's table of functions, only the entries that wait for a rest count.
+    Only those entries of the machine's table of functions matter that wait for a rest.
     """
     found, signals, count = plan.functions, machine.signals, len(plan.block)
     block, step, sample = (found[name] for name in ('block', 'step', 'sample'))

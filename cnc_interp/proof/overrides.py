@@ -15,7 +15,7 @@ from cnc_interp.proof.plan_files import PlanFiles, spans
 
 
 class Overrides:
-    """Factors on the programmed feed; factor k holds from setpoint ``first[k]`` on."""
+    """Factors on the programmed feed; factor k applies from setpoint ``first[k]`` on."""
 
     def __init__(self, plan: PlanFiles, machine: Machine):
         steps = np.array(plan.summary.get('overrides', [[0, 1.0, 1.0]]), dtype=float)

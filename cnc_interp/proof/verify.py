@@ -2,7 +2,7 @@
 
 The proof reads only the plan files. It shares code with the planner in three places: reading the
 machine file, forward kinematics, and simulating the drives if the error at the tool is limited.
-At a corner the smaller tolerance of both blocks counts.
+At a corner the smaller tolerance of both blocks applies.
 """
 
 from collections.abc import Sequence

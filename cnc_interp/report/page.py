@@ -242,7 +242,7 @@ def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, s
 
 
 def _answer(proof: Proof, series: Series, tool_error: FloatArray | None) -> str:
-    """Return the answer in one sentence: the time, the limits that hold it, and the proof."""
+    """Return a sentence with the time, the limits that determine it, and the proof."""
     held = time_lost(series, tool_error).by_limit
     limits = sorted(((time, name) for name, (time, _) in held.items() if time > 0.0), reverse=True)
     whole = max(float(series.time[-1] - series.time[0]), 1e-9)

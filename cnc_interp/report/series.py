@@ -1,4 +1,4 @@
-"""The values that a report draws, in shop units; and the limits that hold the motion."""
+"""The values that a report draws, in shop units, and the limits that slow the motion down."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,6 +1,6 @@
 """Stops along the path: the tail of each chunk, and the way down to another plan.
 
-A tail follows the plan to the next setpoint with a known stop, and then that stop. A plan that
+A tail follows the plan to the next setpoint that has a stop, and then that stop. A plan that
 joins in motion is never slower than a stop from there (``way_down``).
 """
 
@@ -106,7 +106,7 @@ class FunctionQueue:
 
 
 class ChunkCutter:
-    """Cut the setpoints of one plan into chunks; those after the last known stop are kept."""
+    """Cut the setpoints of one plan into chunks; keep those after the last known stop."""
 
     def __init__(self, size: int, number: int, functions: FunctionQueue):
         self._size, self._functions, self._block = size, functions, -1  # the last block cut

@@ -275,7 +275,7 @@ def bound_text(summary: Mapping[str, Any]) -> str:
 
 
 def windows_text(windows: Mapping[str, Any]) -> str:
-    """Return how the windows were solved, if not all have converged; else ''."""
+    """Return how the windows were solved; '' if all have converged."""
     if not any(windows[how] for how in SOLVED_BY[1:]):
         return ''
     told = ', '.join(f'{windows[how]} {how}' for how in SOLVED_BY if windows[how])

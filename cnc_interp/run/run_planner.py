@@ -40,7 +40,7 @@ class Revision(NamedTuple):
 class RunPlanner:
     """The planning of one run, from the top or from ``continue_at`` [m].
 
-    ``stands``: positions at which the machine rests. If they are off the path, or if the planner
+    ``stands``: positions of the axes at rest. If they are off the path, or if the planner
     ``asks``, the machine waits for cycle_start first.
     """
 
@@ -141,7 +141,7 @@ class RunPlanner:
         return way
 
     def finish(self) -> None:
-        """End the path; PlanningError if the place of continuation lies beyond its end."""
+        """End the path; raise PlanningError if it ends before the place of continuation."""
         if self._starts is None:
             raise PlanningError('the program ends before the place where the run continues; reset')
         self.stream.end_leg(Wait.END)

@@ -218,7 +218,7 @@ class TracedRun:
     def of_times(
         program: TimedProgram, machine: Machine, times: Sequence[CycleTime], source: Path
     ) -> list[TracedRun]:
-        """Return the runs that a table of cycle times tells of, each with a window for each row.
+        """Return the runs in a table of cycle times, each with a window for each row.
 
         The times are those that `estimate` prints: of the program, or of each tool in their order.
         """

@@ -33,7 +33,7 @@ Rows = list[tuple[int, float, float]]  #: Line of the record, time [s], and valu
 
 @dataclass(frozen=True)
 class Trace:
-    """What a control told while it ran a program."""
+    """Values recorded by a control while it ran a program."""
 
     name: str
     #: (k,): Times, and the line executed from then on [s].
@@ -78,7 +78,7 @@ def cycle_times(path: Path) -> list[CycleTime]:
 def load_traces(path: Path, program: Path) -> list[Trace]:
     """Read the runs of a program in a record; each time the lines begin again is another run.
 
-    Beside X_blocks.csv, X_feed.csv holds feeds.
+    X_feed.csv beside X_blocks.csv contains the feeds.
     """
     labelled = False
     feed = np.zeros((0, 2))

@@ -1,4 +1,4 @@
-"""The state of the machine, its joints and what it executed as messages."""
+"""Messages with the state of the machine, its joints and the executed setpoints."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby

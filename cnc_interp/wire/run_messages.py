@@ -151,7 +151,7 @@ NUMBERS = {state: getattr(msg.MachineState, TOLD_AS.get(state, state).name) for 
 
 
 def state_of(message: msg.MachineState) -> State:
-    """Return the state of the machine; an unknown number counts as motion."""
+    """Return the state of the machine; an unknown number is taken as motion."""
     if message.state == msg.MachineState.STARVED:
         return State.STARVED if message.resting else State.STARVING
     if message.state == msg.MachineState.RUNNING and message.resting:
@@ -198,7 +198,7 @@ def goal_of(
 
 
 def user_name() -> str:
-    """Return the name of the user of this process; empty where it is not known."""
+    """Return the name of the user of this process; empty if it is not known."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):

@@ -214,7 +214,7 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
         f'{len(ran)} of {len(results)} programs run with every sample proven, by '
         '`benchmarks/programs.py`; refused: [programs.md](../operate/programs.md).',
         '',
-        'LinuxCNC: motions, arcs that agree with its interpreter.',
+        'The column LinuxCNC counts motions and arcs that agree with its interpreter.',
         '',
         made_at(results),
         '',

@@ -67,7 +67,9 @@ MACHINE_NODE = (
     Declared('buffer_time', 1.0, 'Motion that the machine buffers [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
-    Declared('position_file', '', 'File that keeps the positions of the axes without power'),
+    Declared(
+        'position_file', '', 'File that keeps the positions of the axes while the power is off'
+    ),
     *parameters_of_drives(),
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),

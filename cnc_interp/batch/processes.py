@@ -47,7 +47,7 @@ class EndedCall(Generic[R]):
 
 @dataclass(frozen=True)
 class _Attempt(Generic[A]):
-    """A waiting call: its argument is made when it begins; it has some time left [s]."""
+    """A waiting call: the function that makes its argument, and its remaining time [s]."""
 
     number: int
     make: Callable[[], A]
@@ -57,7 +57,7 @@ class _Attempt(Generic[A]):
 
 @dataclass(frozen=True)
 class _Running(Generic[A]):
-    """A running call, its process, and the time at which its time ends [s]."""
+    """A running call, its process, and its deadline [s]."""
 
     call: _Attempt[A]
     process: ForkServerProcess

@@ -193,7 +193,7 @@ class Jobs:
 
 
 def _scene_hash(settings: Settings) -> str:
-    """Return the hash of a scene; SceneError before anything is planned with a bad one."""
+    """Return the hash of a scene; raise SceneError if the scene is invalid."""
     if settings.scene is None:
         return ''
     from cnc_interp.collision.scene_file import read_scene

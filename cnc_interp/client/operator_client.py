@@ -66,7 +66,7 @@ ECHO = 10.0  #: Longest time until an override sent by this client is reported b
 
 
 class SharedValue:
-    """The latest value on a topic; one sent from here holds until heard, or for ``patience``."""
+    """The latest value on a topic; a value sent from here is kept for ``patience``."""
 
     def __init__(self, value: float, patience: float):
         self._heard, self._patience = value, patience
@@ -298,7 +298,7 @@ class OperatorClient(ServedNode):
         answer: Callable[[SentProgram], Answer | None],
         on_result: Callable[[RunProgram.Result], None] | None = None,
     ) -> Future[Answer]:
-        """Send a program; ``answer``: asked again and again for what is answered."""
+        """Send a program; ``answer`` is called repeatedly to read the answers."""
         wanted: Future[Answer] = Future()
 
         def send() -> None:

@@ -248,7 +248,7 @@ def add_problems_command(commands: Any) -> None:
         option('--write', 'write each path and its limits as .npz', Path, 'DIR'),
         option(
             '--score',
-            'score motions: NAME.npz with position, or NAME.csv, a row each period',
+            'score the motions in DIR: NAME.npz with position, or NAME.csv with a row per period',
             Path,
             'DIR',
         ),

@@ -106,7 +106,7 @@ class Loads:
                 self._given.setdefault(row.words[1], []).append(row)
         for module in ('streamer', 'sampler'):
             if module in self._given:
-                raise InterpError(f'loadrt {module}: cnc_interp needs the first one itself')
+                raise InterpError(f'loadrt {module}: cnc_interp itself needs the first instance')
         self.merged = {m: each for m, each in self._given.items() if m in SPECIAL}
         self.board = Board(len(self._list('weighted_sum', 'wsum_sizes')))
 

@@ -323,7 +323,7 @@ class ProgramRun:
 
     @property
     def start_at(self) -> float:
-        """Path length at which the run starts [m]; 0 at the top, where nothing waits."""
+        """Path length at which the run starts [m]; 0 for a start at the top."""
         program = self.preparation.prepared
         if program is None or not (program.start or program.waits_first):
             return 0.0
@@ -501,7 +501,7 @@ class ProgramQueue:
         return [entry.run.name for entry in self._entries]
 
     def watch(self) -> None:
-        """End goals that were cancelled or rejected. A rejected one ends all after it."""
+        """End goals that were cancelled or rejected. A rejected goal ends all goals after it."""
         for entry in list(self._entries):
             if entry not in self._entries:  # a goal before it was rejected
                 continue

@@ -184,7 +184,7 @@ def _bode(found: IdentifiedAxis, period: float) -> Any:
 
 def value_text(value: float, half_width: float) -> str:
     if half_width == np.inf:
-        return f'{value:.4g} as before: these runs do not show it'
+        return f'{value:.4g} unchanged, because these runs do not show it'
     return f'{value:.4g}' + (f' +- {half_width:.2g}' if np.isfinite(half_width) else '')
 
 

@@ -9,13 +9,17 @@ from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.program.blocks import WITHIN_MOTION, Blocks
 from cnc_interp.settings.options import Settings
 
-KEPT = 3  #: Rows that a pacer keeps: the next one, and those before it.
+#: A turn counts as the mean over this length before and behind the middle of a block [m], in
+#: which at most so many blocks are considered on each side.
+REACH, NEAR = 1e-3, 8
+HELD = NEAR + 1  #: Rows that wait for those behind them.
+KEPT = HELD + NEAR + 2  #: Rows that a pacer keeps: these, and those before them.
 
 
 def pace_limits(
     pace: BlockPace, length: FloatArray, turn: FloatArray, feed: FloatArray
 ) -> FloatArray:
-    """Return the largest mean speeds; ``turn`` (n, 2): at both vertices [rad].
+    """Return the largest mean speeds; ``turn`` (n,): from block to block [rad].
 
     A control changes the velocity at a vertex between two blocks by at most ``jump``, so the speed
     there is v = jump / (2 sin(turn / 2)). On the block between two vertices the speed rises and
@@ -25,7 +29,7 @@ def pace_limits(
     planner slows down for itself.
     """
     with np.errstate(divide='ignore'):
-        v = np.minimum(pace.jump / (2.0 * np.sin(0.5 * turn)), feed[:, None]).mean(axis=1)
+        v = np.minimum(pace.jump / (2.0 * np.sin(0.5 * turn)), feed)
     bump = length / (4.0 * rise_root(v, length, pace.jerk))
     return np.asarray(np.minimum(bump, length / pace.block_time))
 
@@ -37,8 +41,27 @@ def rise_root(v: FloatArray, length: FloatArray, jerk: float) -> FloatArray:
     return np.asarray(2.0 * a * np.sinh(np.arcsinh(0.5 * q / a**3) / 3.0))
 
 
+def mean_turns(length: FloatArray, turn: FloatArray) -> FloatArray:
+    """Return the turns of blocks if the path near each were bent evenly, all (n,) [m, rad].
+
+    A recorded control slows down for ten chords of a slot's end half as much as for the same
+    chords in a full circle: it judges the path over some length, not vertex by vertex.
+    """
+    bent, way, n = turn.copy(), length.copy(), len(length)
+    lengths, turns = (np.pad(one, NEAR) for one in (length, turn))
+    for side in (-1, 1):
+        left = REACH - 0.5 * length
+        for k in range(1, NEAR + 1):
+            near = slice(NEAR + side * k, NEAR + side * k + n)
+            part = np.clip(left, 0.0, lengths[near])
+            bent += turns[near] * part / np.maximum(lengths[near], 1e-12)
+            way += part
+            left = left - lengths[near]
+    return np.asarray(bent * length / np.maximum(way, 1e-12))
+
+
 class Pacer:
-    """Give blocks the feed that the control reaches; the last row waits for the next one."""
+    """Give blocks the feed that the control reaches; the last rows wait for the next ones."""
 
     def __init__(self, pace: BlockPace, settings: Settings):
         self._pace, self._longest = pace, settings.longest_block
@@ -48,13 +71,14 @@ class Pacer:
 
     def push(self, blocks: Blocks) -> Blocks:
         rows = blocks if self._kept is None else Blocks.concatenate([self._kept, blocks])
-        paced = self._paced(rows)[self._sent : max(self._sent, len(rows) - 1)]
+        end = max(self._sent, len(rows) - HELD)
+        paced = self._paced(rows)[self._sent : end]
         self._kept = rows[-KEPT:]
-        self._sent = len(self._kept) - 1
+        self._sent = end - len(rows) + len(self._kept)
         return paced
 
     def finish(self) -> Blocks | None:
-        return None if self._kept is None else self._kept[self._sent :]
+        return None if self._kept is None else self._paced(self._kept)[self._sent :]
 
     def _paced(self, rows: Blocks) -> Blocks:
         if self._pace.stops_at_rapids:
@@ -76,8 +100,8 @@ class Pacer:
         slow &= ~rows.rapid[own] & ~rows.on_spline[own]
         slow &= np.isfinite(rows.feedrate[own])
         k, feed = np.flatnonzero(slow), rows.feedrate.copy()
-        both = np.column_stack([turn[k], turn[k + 1]])
+        turn = mean_turns(length, 0.5 * (np.append(0.0, turn) + np.append(turn, 0.0)))[k + 1]
         feed[k + 2] = np.minimum(
-            feed[k + 2], pace_limits(self._pace, length[k + 1], both, feed[k + 2])
+            feed[k + 2], pace_limits(self._pace, length[k + 1], turn, feed[k + 2])
         )
         return replace(rows, feedrate=feed)

@@ -49,6 +49,24 @@ def test_a_chord_takes_as_long_as_rising_and_falling_with_the_jerk(turn, chord):
     assert feed == pytest.approx(1e-3 * chord / (4.0 * x), rel=1e-4)
 
 
+def test_chords_beside_a_straight_count_by_their_share_of_the_path():
+    """A bend of ten chords between straights: the turn is the mean over 1 mm on both sides."""
+    angle = np.radians(np.concatenate([[0.0] * 3, np.arange(9.0, 190.0, 18.0), [180.0] * 3]))
+    length = np.concatenate([[9.0] * 3, np.full(len(angle) - 6, 0.27), [9.0] * 3])
+    points = np.cumsum(length[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)
+    lines = [f'X{x:.6f} Y{y:.6f}' for x, y in points]
+    text = '\n'.join(['G21 G90', 'G0 X0 Y0 Z0', 'G1 F6000', *lines, 'M2', ''])
+    feed = paced(read_text(text, 's.ngc', XYZ, Settings()).blocks).feedrate[-len(angle) :]
+    place, turn = np.cumsum(length), np.abs(np.diff(angle))
+    for k in range(3, len(angle) - 3):
+        near = place[k] - 0.5 * length[k] + np.linspace(-1.0, 1.0, 200001)
+        block = np.searchsorted(place, near)
+        density = 0.5 * (turn[block - 1] + turn[block]) / length[block]
+        even = paced(polygon(np.degrees(density.mean() * length[k]), length[k])).feedrate[20]
+        assert feed[k] == pytest.approx(even, rel=2e-3)
+    assert feed[3] > 1.5 * feed[len(angle) // 2]
+
+
 def test_a_block_takes_its_least_time_and_arcs_and_slow_feeds_stay():
     slow = replace(PACE, block_time=0.02)
     assert paced(polygon(0.0, 0.3), slow).feedrate[10] == pytest.approx(0.3e-3 / 0.02)

@@ -76,7 +76,7 @@ def fit(traces: list[tuple[TimedProgram, Trace]], machine: Machine) -> Fitted:
 
 def first_rapid(program: TimedProgram, trace: Trace) -> float:
     """Return how long the first motion takes [s]."""
-    begin, end = np.searchsorted(trace.line, [program.first, program.first + 1])
+    begin, end = np.searchsorted(trace.line, program.lines[0] + np.array([0, 1]))
     return float(trace.time[end] - trace.time[begin])
 
 

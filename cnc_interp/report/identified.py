@@ -253,7 +253,8 @@ def _feeds(run: TracedRun, motion: Any) -> Any:
     kept = extremes(told[:, 1], html.BUCKETS) if len(told) else np.zeros(0, dtype=int)
     measured = {'color': html.BLUE, 'width': 1.2}
     time, feed = told[kept, 0], told[kept, 1] / MM_PER_MIN
-    html.add_curve(figure, 1, time, feed, 'measured', measured, mode='lines')
+    if len(told):  # cycle times tell no feeds
+        html.add_curve(figure, 1, time, feed, 'measured', measured, mode='lines')
     end = np.cumsum(motion.duration)
     for number, (first, last) in enumerate(run.stretches()):
         events = run.windows[first, 0], run.windows[last, 1]

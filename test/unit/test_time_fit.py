@@ -12,8 +12,9 @@ from cnc_interp.commands.cli import main
 from cnc_interp.core import InterpError
 from cnc_interp.core.compile_time import COMPILING
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.report.identified import write_fitted
 from cnc_interp.run import time_fit
-from cnc_interp.run.time_fit import TimedProgram, TimeFit, TracedRun, measured_override
+from cnc_interp.run.time_fit import Fitted, TimedProgram, TimeFit, TracedRun, measured_override
 from cnc_interp.run.time_records import Trace, cycle_times, load_traces
 from cnc_interp.settings.options import Settings
 
@@ -231,7 +232,10 @@ def test_cycle_times_by_tool_are_windows_of_the_motion_alone(recorded, capsys):
     (run,) = TracedRun.of_times(program, machine, times, recorded / 'times.csv')
     moving = [one['cutting_s'] + one['rapid_s'] for one in tools]
     assert run.measured == pytest.approx(moving, abs=1e-6)
-    assert run.planned(program.motion(machine)) == pytest.approx(moving, rel=1e-3)
+    motion = program.motion(machine)
+    assert run.planned(motion) == pytest.approx(moving, rel=1e-3)
+    write_fitted([run], Fitted(machine, {}, [motion]), recorded / 'page.html')
+    assert 'planned' in (recorded / 'page.html').read_text(), 'a page without measured feeds'
 
 
 def test_parts_of_a_long_program_take_their_time_in_the_whole(tmp_path, monkeypatch):

@@ -6,11 +6,16 @@ after another while a client reads a stream of samples. Every document is valida
 of ``--schemas``, every observation must follow the one before, and the agent's memory is looked
 at. Then clients ask as fast as they can, and one sends requests that are wrong: each must get an
 answer of 4xx or a closed connection, and the agent must go on.
+
+``--hours 8`` serves a machine by a simulated clock instead, without nodes: one state a second, as
+fast as the reader of the stream keeps up. Its observations replace those in the buffer several
+times.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import socket
 import subprocess
@@ -27,6 +32,12 @@ from cnc_interp_msgs.action import RunProgram
 from lxml import etree
 from nodes_under_test import NodesUnderTest, hear_ctrl_c
 from operated import waves
+
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.mtconnect.device import device_of, items_of
+from cnc_interp.mtconnect.documents import Agent
+from cnc_interp.mtconnect.server import AgentServer, Requests
+from cnc_interp.mtconnect.store import Store
 
 WRONG = (
     *('/nothing', '/current?at=-1', '/current?at=x', '/current?at=99999999999999999999'),
@@ -99,11 +110,10 @@ class Reader(threading.Thread):
     def __init__(self, address: str, schemas: Schemas):
         super().__init__(daemon=True)
         self._address, self._schemas = address, schemas
-        self.documents = self.observations = self.gaps = 0
+        self.documents = self.observations = self.gaps = self.following = 0
         self.fault = ''
 
     def run(self) -> None:
-        following = None
         try:
             for document in parts(
                 self._address, '/sample?interval=200&heartbeat=2000&count=10000'
@@ -111,8 +121,8 @@ class Reader(threading.Thread):
                 root = self._schemas.valid(document)
                 head = root[0]
                 seen = [int(one.get('sequence')) for one in root.iter() if one.get('sequence')]
-                self.gaps += bool(following and seen and min(seen) != following)
-                following = int(head.get('nextSequence'))
+                self.gaps += bool(self.following and seen and min(seen) != self.following)
+                self.following = int(head.get('nextSequence'))
                 self.documents += 1
                 self.observations += len(seen)
             self.fault = 'the stream has ended'
@@ -165,12 +175,43 @@ def wrong(address: str, schemas: Schemas) -> Counter[str]:
     return told
 
 
+def simulated(hours: float, schemas: Schemas) -> None:
+    """Serve hours of a machine whose states come faster than real ones."""
+    machine, now = Machine.load('xyzac'), [1.7e9]
+    device = device_of(machine, 'host')
+    store = Store(items_of(device), clock=lambda: now[0])
+    agent = Agent(device, store, 'host', int(now[0]))
+    with AgentServer('127.0.0.1', 0, Requests(agent, dict)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        reader = Reader(f'http://127.0.0.1:{server.server_port}', schemas)
+        reader.start()
+        before = memory_of(os.getpid())
+        for second in range(int(3600 * hours)):
+            now[0] += 1.0
+            place = f'{second % 9000 / 7:.4f}'
+            axes = (f'{x}_{what}' for x in machine.axis_names for what in ('actual', 'commanded'))
+            store.observe({'line': str(second), 'feed': place, **dict.fromkeys(axes, place)})
+            while store.next_sequence > reader.following + 1000 and not reader.fault:
+                time.sleep(0.01)
+        while reader.following < store.next_sequence and not reader.fault:
+            time.sleep(0.1)
+        print(f'fault of the reader: {reader.fault or None}; gaps {reader.gaps}')
+        print(f'documents {reader.documents}, all valid; observations {reader.observations}')
+        print(f'memory [MB]: {before:.0f} to {memory_of(os.getpid()):.0f}')
+        server.shutdown()
+
+
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument('--minutes', type=float, default=30.0)
     options.add_argument('--schemas', type=Path, default=Path('../shared/mtconnect'))
+    options.add_argument('--hours', type=float, help='serve so long by a simulated clock')
     given = options.parse_args()
-    schemas, bench = Schemas(given.schemas), NodesUnderTest()
+    schemas = Schemas(given.schemas)
+    if given.hours:
+        simulated(given.hours, schemas)
+        return
+    bench = NodesUnderTest()
     words = ['mtconnect', '--port', '0', '--namespace', bench.namespace]
     agent = subprocess.Popen(
         [sys.executable, '-m', 'cnc_interp', *words, '--domain', str(bench.domain)],

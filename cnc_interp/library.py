@@ -217,7 +217,8 @@ def plan_program(program: Program, machine: Machine, settings: Settings | None =
     """
     settings, kept = settings or Settings(), Kept()
     with at_fault(program.source):
-        spun, why = spun_for(program.blocks, Transform.of(machine), settings)
+        blocks, spun, why = spun_for(program.blocks, Transform.of(machine), settings)
+    program = replace(program, blocks=blocks)
     if why:
         told = f'line {program.blocks.line_number[0]}: {why}'
         program = replace(program, notices=(*program.notices, told))
@@ -254,7 +255,8 @@ def smooth_path(blocks: Blocks, geometry: Transform, settings: Settings | None =
 
     """
     settings = settings or Settings()
-    chain = PathChain(geometry, settings, spun=spun_for(blocks, geometry, settings)[0])
+    blocks, spun, _ = spun_for(blocks, geometry, settings)
+    chain = PathChain(geometry, settings, spun=spun)
     parts = [*(chain.push(batch) for batch in batches(blocks)), chain.finish()]
     paths = [part.path for part in parts if part.path is not None]
     if not paths:

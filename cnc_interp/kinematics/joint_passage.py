@@ -21,7 +21,7 @@ from cnc_interp.kinematics.passages import Passages
 from cnc_interp.kinematics.path_ahead import PassageEnd, PathAhead
 from cnc_interp.kinematics.sampling import guided_grid
 from cnc_interp.kinematics.segment_axes import Place, SegmentRows, Stands
-from cnc_interp.machine_model.chain_kernels import REACH
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -62,7 +62,7 @@ class JointPassages(Passages[PathAhead]):
         super().__init__()
         self._chain, self._height = transform, height
         self._q, self._branch = np.zeros(len(transform.machine.axis_names)), 0.0
-        self._far = FAR * transform.packed[-1, REACH]
+        self._far = FAR * transform.reach
         self._spins = spins
         self._lost = False  # what follows is refused
 
@@ -213,8 +213,13 @@ class JointPassages(Passages[PathAhead]):
         pose = axes.pose_jets(segment.kind, segment.shape, segment.f, u, u)
         spin = axes.guide_jet(path.guides[i], path.way(i, u), axes.SPIN_BEGUN)[0]
         tip, axis = (np.array([row[0] for row in rows]) for rows in pose)
-        found = self._chain.spun(spin).branches(tip, axis)
-        found = found + 2.0 * pi * np.round((near - found) / (2.0 * pi))
+        beside = [
+            axes.beside_jet(segment.kind, segment.beside, k, u, u)[0]
+            for k in range(2, segment.beside.shape[1])
+        ]
+        found = self._chain.spun(spin).branches(tip, axis, np.array(beside))
+        turns = np.round((near - found) / (2.0 * pi))
+        found[:, :ARM] += 2.0 * pi * turns[:, :ARM]
         low, high = machine.travel.T
         found = found[((found >= low) & (found <= high)).all(axis=1)]
         away = (np.abs(found - near) / machine.max_velocity).max(axis=1)

@@ -16,6 +16,7 @@ from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import FINE, sample_segments
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.transform_port import Transform, reached, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
@@ -111,12 +112,13 @@ class AxisPathBuilder:
         if isinstance(self.transform, JointChain):
             from cnc_interp.kinematics.joint_passage import JointPassages
 
-            pose = segments.bottom[0, 0], segments.axis[0]
+            pose, beside = (segments.bottom[0, 0], segments.axis[0]), segments.extra[0, 0]
             if self._from is not None:
-                here = np.concatenate(self.transform.forward(self._from[None]), axis=1)
-                if np.abs(here - np.concatenate(pose)).max() < SAME_POSE:
+                tip, axis = self.transform.forward(self._from[None])
+                here = np.concatenate([tip[0], axis[0], self._from[ARM:]])
+                if np.abs(here - np.concatenate([*pose, beside])).max() < SAME_POSE:
                     self.transform = self.transform.standing(self._from)
-            self._stands[:], self._branch = self.transform.start(*pose, line)
+            self._stands[:], self._branch = self.transform.start(*pose, line, beside)
             self._joints = JointPassages(self.transform, self.flank_height, self._spins)
             self._joints.begin(self._stands, self._branch)
             return

@@ -14,6 +14,7 @@ from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics.axis_path import septic_jet
 from cnc_interp.machine_model import chain_kernels
 from cnc_interp.machine_model import five_axis_kernels as kernel
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -64,7 +65,7 @@ class Segment(NamedTuple):
     kind: int
     motion: int
     shape: FloatArray  #: (20 or 22, 3): See ``shapes_of``.
-    beside: FloatArray  #: (6, 2 + k): Control values of rotary axes [rad] and k extra axes [m].
+    beside: FloatArray  #: (6, 2 + k): Control values of rotary and k extra axes [m, rad].
     f: FloatArray  #: (spans, 8): Parametrization.
     length: float  #: [m].
 
@@ -172,11 +173,18 @@ def axis_jets(
         if leads >= 0 and guide[GUIDE_BUMP] != 0.0:
             lead = jet.add(lead, bump_jet(guide, way))
         lead = jet.compose(lead, s)
-        joints, measure = chain_kernels.joint_jets(packed, p, o, stands.q, sense, leads, lead)
-        for j in range(joints.shape[1]):
+        further = beside.shape[1] - 2
+        joints = np.empty((4, ARM + further))
+        for k in range(further):
+            w, j = beside_jet(kind, beside, 2 + k, u, inside), ARM + k
+            p, o = chain_kernels.carried(packed[chain_kernels.BESIDE + k], p, o, w)
+            joints[0, j], joints[1, j], joints[2, j], joints[3, j] = w
+        found = chain_kernels.joint_jets(packed, p, o, stands.q[:ARM], sense, leads, lead)
+        joints[:, :ARM] = found[0]
+        for j in range(ARM + further):
             of_u = (joints[0, j], joints[1, j], joints[2, j], joints[3, j])
             joints[0, j], joints[1, j], joints[2, j], joints[3, j] = jet.by_arc_length(of_u, speed)
-        return joints, measure
+        return joints, found[1]
     sine_squared, outer = 1.0, int(packed[kernel.OUTER])
     tilted, turned = stands.q[4 - outer], stands.q[3 + outer]
     if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:

@@ -15,7 +15,8 @@ from cnc_interp.core import MM, FloatArray, StreamError
 from cnc_interp.core.axis_limits import Limits
 from cnc_interp.core.jet import constant
 from cnc_interp.machine.slides import THERE, Slides
-from cnc_interp.machine_model.chain_kernels import NO_JOINT, REACH, joint_jets
+from cnc_interp.machine_model.chain_kernels import NO_JOINT, joint_jets
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform, tool_line
@@ -57,7 +58,7 @@ class ArmSlide(Slides):
         limits = chain.machine.limits.lowest
         chain = chain.spun(chain.spin_at(stands))
         tip, axis = (rows[0] for rows in chain.forward(stands[None]))
-        step = float(chain.packed[-1, REACH]) / STEPS
+        step = chain.reach / STEPS
         sense, (low, high) = chain.sense(stands), chain.machine.travel.T
         here, _ = _jets(chain, tip, axis, 0.0, stands, sense)
         ways = {0.0: here}
@@ -133,9 +134,11 @@ def _jets(
     near: FloatArray,
     sense: float,
 ) -> tuple[FloatArray, float]:
-    p, o = (tip + x * axis).tolist(), axis.tolist()
-    way = tuple((place, along, 0.0, 0.0) for place, along in zip(p, o, strict=True))
-    still = tuple((along, 0.0, 0.0, 0.0) for along in o)
+    (place,), (along,) = chain.seen((tip + x * axis)[None], axis[None], near[None, ARM:])
+    p, o = place.tolist(), along.tolist()
+    way = tuple((at, rate, 0.0, 0.0) for at, rate in zip(p, o, strict=True))
+    still = tuple((value, 0.0, 0.0, 0.0) for value in o)
     lead = constant(chain.spin)
-    found, measure = joint_jets(chain.packed, way, still, near, sense, NO_JOINT, lead)
-    return np.asarray(found), float(measure)
+    found, measure = joint_jets(chain.packed, way, still, near[:ARM], sense, NO_JOINT, lead)
+    rests = np.outer([1.0, 0.0, 0.0, 0.0], near[ARM:])
+    return np.hstack([found, rests]), float(measure)

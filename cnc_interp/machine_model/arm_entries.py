@@ -1,4 +1,8 @@
-"""Entries of a machine file that describes an arm: a chain of joints from a URDF, and limits."""
+"""Entries of a machine file that describes an arm: a chain of joints from a URDF, and limits.
+
+The last six joints are those of the arm. Joints before them, a rail or a positioner, are further
+axes of the program: U, V, W slide, and E1, E2, E3 turn.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,9 +17,19 @@ from cnc_interp.core import DEG, MM, FloatArray, MachineError
 from cnc_interp.core.axis_limits import AxisLimits
 from cnc_interp.core.small_files import UnreadableError, read_yaml, small_text
 from cnc_interp.machine_model.demands import demand
-from cnc_interp.machine_model.joint import TOOL_TIP, WORKPIECE, Joint, angles, rotation, vector
+from cnc_interp.machine_model.joint import (
+    ARM,
+    TOOL_TIP,
+    WORKPIECE,
+    Joint,
+    angles,
+    rotation,
+    vector,
+)
 from cnc_interp.machine_model.machine_entries import (
+    EXTRA_LETTERS,
     PLAUSIBLE,
+    POSITIONERS,
     number,
     numbers,
     require_known,
@@ -25,21 +39,25 @@ LONGEST_URDF = 1 << 22  #: [bytes].
 #: Guessed times in which a joint reaches its largest velocity and acceleration [s].
 GUESS = (0.4, 0.1)
 ORDERS = ('velocity', 'acceleration', 'jerk')
+MOST_FURTHER = 3  #: Largest number of further joints.
 ORIGIN = {'xyz': '0 0 0', 'rpy': '0 0 0'}
 
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm at zero, in the workpiece frame W, with its joints from the part to the tool."""
+    """An arm at zero, in the workpiece frame W: six joints, then further ones from the part on."""
 
     joints: tuple[str, ...]  #: Names in the URDF.
+    further: tuple[str, ...]  #: Letters of the further joints in programs.
     #: All its joints, parents before children; those to ``tool_tip`` and ``workpiece`` included.
     tree: tuple[Joint, ...]
     urdf: str  #: Its URDF.
     lines: FloatArray  #: (n, 6): Direction of each joint [-], and a point on it [m].
     #: (3, 3): Tip [m], side and axis of the tool [-]; the axis points away from the part.
     tool: FloatArray
-    home: FloatArray  #: (n,): Positions near which configurations are preferred [rad].
+    #: (n,): Positions near which configurations are preferred [rad]; those of further joints are
+    #: where programs begin [m or rad].
+    home: FloatArray
     spin: float  #: Turn of the tool about its axis [rad].
     guessed: tuple[str, ...] = field(default_factory=tuple)  #: Names of limits that are guessed.
 
@@ -51,47 +69,85 @@ def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, .
     parents = {_link(joint, 'child'): joint for joint in elements.values()}
     flange, base = _frame(content, 'flange'), _frame(content, 'base')
     part = _pose(content, 'part', base, parents)
-    directions = list[FloatArray]()
-    here, names, lines = np.linalg.inv(part), [], []
-    for joint in _chain(parents, base, flange):
-        here, name, kind = here @ _origin(joint), joint.get('name', ''), joint.get('type')
-        if kind == 'fixed':
-            continue
-        demand(
-            kind in ('revolute', 'continuous') and joint.find('mimic') is None,
-            f'joint {name} of the URDF is neither fixed nor a plain revolute joint; only those '
-            'are supported yet',
-            'urdf',
-        )
-        along = joint.find('axis')
-        direction = _words('1 0 0' if along is None else along.get('xyz', ''), name, 3)
-        length = float(np.linalg.norm(direction))
-        demand(length > 0.0, f'joint {name} of the URDF has an axis of no length', 'urdf')
-        names.append(name)
-        directions.append(direction / length)
-        lines.append([*here[:3, :3] @ directions[-1], *here[:3, 3]])
+    back, ahead = _chain(parents, base, flange)
+    here, names, lines, directions = np.linalg.inv(part), list[str](), [], list[FloatArray]()
+    for joint, sense in [(one, -1.0) for one in back] + [(one, 1.0) for one in ahead]:
+        here = here if sense < 0.0 else here @ _origin(joint)
+        if joint.get('type') != 'fixed':
+            names.append(joint.get('name', ''))
+            directions.append(_direction(joint))
+            lines.append([*sense * here[:3, :3] @ directions[-1], *here[:3, 3]])
+        here = here @ np.linalg.inv(_origin(joint)) if sense < 0.0 else here
+    count = len(names) - ARM
+    own = names[count:] if count >= 0 else []
     demand(
-        len(names) == 6,
-        f'{len(names)} joints turn between {base} and {flange}; an arm has 6 for now',
+        len(own) == ARM
+        and all(elements[name] in ahead and not _slides(elements[name]) for name in own),
+        f'fewer than {ARM} turning joints in a row lead to {flange}; an arm has {ARM} for now',
         'urdf',
     )
+    demand(count <= MOST_FURTHER, f'at most {MOST_FURTHER} joints may carry arm and part', 'urdf')
+    sliding, turning = iter(EXTRA_LETTERS), iter(POSITIONERS)
+    letters = [next(sliding if _slides(elements[name]) else turning) for name in names[:count]]
+    names = own + names[:count]
+    lines, directions = lines[count:] + lines[:count], directions[count:] + directions[:count]
     tcp = _pose(content, 'tcp', flange, parents)
     tool = here @ tcp
-    limits, guessed = _limits(content, folder, names, elements)
-    home = np.array(numbers(content.get('home_deg', [0.0] * 6), 6, 'home_deg')) * DEG
+    shown = [f'J{k}' for k in range(1, ARM + 1)] + letters
+    limits, guessed = _limits(content, folder, dict(zip(names, shown, strict=True)), elements)
+    home = np.array(numbers(content.get('home_deg', [0.0] * ARM), ARM, 'home_deg')) * DEG
+    home = np.append(home, _begins(content, letters, limits[ARM:]))
     spin = numbers([content.get('spin_deg', 0.0)], 1, 'spin_deg')[0] * DEG
     # Z of the TCP points out of the tool, the tool axis of programs from the tip to the holder.
     shape = np.array([tool[:3, 3], tool[:3, 0], -tool[:3, 2]])
     axes = dict(zip(names, zip(directions, limits, strict=True), strict=True))
-    tree = _tree(list(elements.values()), base, axes)
+    root = _link(back[-1], 'parent') if back else base
+    tree = _tree(list(elements.values()), root, axes)
     frames = {WORKPIECE: (base, part), TOOL_TIP: (flange, tcp * [1.0, -1.0, -1.0, 1.0])}
-    known = {base, *(joint.child for joint in tree)}
+    known = {root, *(joint.child for joint in tree)}
     for frame, (carrier, pose) in frames.items():
         demand(frame not in known, f'has a link {frame}; rename it, this name is taken', 'urdf')
         place, turn = vector(pose[:3, 3]), angles(pose[:3, :3])
         tree.append(Joint(f'{carrier}_{frame}', 'fixed', carrier, frame, place, rpy=turn))
-    joints = tuple(names), tuple(tree), text
+    joints = tuple(names), tuple(letters), tuple(tree), text
     return Arm(*joints, np.array(lines), shape, home, spin, guessed), limits
+
+
+def _slides(joint: ElementTree.Element) -> bool:
+    return joint.get('type') == 'prismatic'
+
+
+def _direction(joint: ElementTree.Element) -> FloatArray:
+    """Return the unit direction (3,) of a joint's axis in the frame of its child."""
+    name, along = joint.get('name', ''), joint.find('axis')
+    demand(
+        joint.get('type') in ('revolute', 'continuous', 'prismatic')
+        and joint.find('mimic') is None,
+        f'joint {name} of the URDF neither is fixed nor turns or slides alone; only those joints '
+        'are supported',
+        'urdf',
+    )
+    direction = _words('1 0 0' if along is None else along.get('xyz', ''), name, 3)
+    length = float(np.linalg.norm(direction))
+    demand(length > 0.0, f'joint {name} of the URDF has an axis of no length', 'urdf')
+    return direction / length
+
+
+def _begins(
+    content: dict[str, Any], letters: Sequence[str], limits: Sequence[AxisLimits]
+) -> list[float]:
+    """Return the positions of further joints with which programs begin [m or rad]."""
+    given, found = content.get('start') or {}, []
+    demand(isinstance(given, dict), 'must hold positions, such as {U: 500.0, E1: 90.0}', 'start')
+    require_known(given, letters, 'start')
+    for letter, of in zip(letters, limits, strict=True):
+        size = DEG if letter in POSITIONERS else MM
+        low, high = (float(end) / size for end in of.travel)
+        usual = min(max(0.0, low), high)
+        (value,) = numbers([given.get(letter, usual)], 1, f'start.{letter}')
+        demand(low <= value <= high, f'outside its travel {low:g} ... {high:g}', f'start.{letter}')
+        found.append(value * size)
+    return found
 
 
 def _tree(
@@ -112,6 +168,7 @@ def _tree(
             if name in axes:
                 direction, limits = axes[name]
                 kind = 'revolute' if np.isfinite(limits.travel).all() else 'continuous'
+                kind = 'prismatic' if _slides(joint) else kind
                 plain = replace(
                     plain,
                     kind=kind,
@@ -171,17 +228,24 @@ def _words(text: str, joint: str, count: int) -> FloatArray:
 
 def _chain(
     parents: dict[str, ElementTree.Element], base: str, link: str
-) -> list[ElementTree.Element]:
-    joints, at = list[ElementTree.Element](), link
-    while at != base:
-        demand(
-            at in parents and len(joints) <= len(parents),
-            f'no joints of the URDF lead from {base} to {link}',
-            'urdf',
-        )
-        joints.insert(0, parents[at])
-        at = _link(parents[at], 'parent')
-    return joints
+) -> tuple[list[ElementTree.Element], list[ElementTree.Element]]:
+    """Return the joints from a base up to where the way to a link begins, and of this way."""
+    ways, tops = list[list[ElementTree.Element]](), list[str]()
+    for at in (base, link):
+        ways.append([])
+        while at in parents and len(ways[-1]) <= len(parents):
+            ways[-1].append(parents[at])
+            at = _link(parents[at], 'parent')
+        tops.append(at)
+    back, ahead = ways
+    while back and ahead and back[-1] is ahead[-1]:
+        del back[-1], ahead[-1]
+    demand(
+        tops[0] == tops[1] and max(map(len, ways)) <= len(parents),
+        f'no joints of the URDF lead from {base} to {link}',
+        'urdf',
+    )
+    return back, ahead[::-1]
 
 
 def _origin(joint: ElementTree.Element) -> FloatArray:
@@ -198,9 +262,10 @@ def _pose(
     given: Any = content.get(key)
     if isinstance(given, str):
         found = np.eye(4)
-        for joint in _chain(parents, link, given):
-            demand(joint.get('type') == 'fixed', f'{given} is not fixed to {link}', key)
-            found = found @ _origin(joint)
+        for sense, joints in zip((-1, 1), _chain(parents, link, given), strict=True):
+            for joint in joints:
+                demand(joint.get('type') == 'fixed', f'{given} is not fixed to {link}', key)
+                found = found @ np.linalg.matrix_power(_origin(joint), sense)
         return found
     demand(
         isinstance(given, dict),
@@ -222,10 +287,13 @@ def _matrix(xyz: FloatArray, rpy: FloatArray) -> FloatArray:
 def _limits(
     content: dict[str, Any],
     folder: Path,
-    names: Sequence[str],
+    names: dict[str, str],
     elements: dict[str, ElementTree.Element],
 ) -> tuple[tuple[AxisLimits, ...], tuple[str, ...]]:
-    """Return the limits of the joints: MoveIt's ``joint_limits``, else those of the URDF."""
+    """Return the limits of the joints: MoveIt's ``joint_limits``, else those of the URDF.
+
+    ``names``: names in the URDF, and those of the axes.
+    """
     given, guess = content.get('joint_limits'), content.get('limits') == 'guess'
     demand(
         content.get('limits', 'guess') == 'guess',
@@ -242,19 +310,19 @@ def _limits(
         demand(guess, 'missing; name the joint_limits.yaml of MoveIt', 'joint_limits')
         given = {}
     limits, guessed = list[AxisLimits](), list[str]()
-    for number_, name in enumerate(names, start=1):
+    for name, axis in names.items():
         own, where = given.get(name) or {}, f'joint_limits.{name}'
         demand(isinstance(own, dict), 'must hold max_velocity and others', where)
-        told = elements[name].find('limit')
+        told, slides = elements[name].find('limit'), _slides(elements[name])
         urdf = {} if told is None else told.attrib
         found = list[float]()
-        for k, (order, bounds) in enumerate(zip(ORDERS, PLAUSIBLE[False], strict=True)):
+        for k, (order, bounds) in enumerate(zip(ORDERS, PLAUSIBLE[slides], strict=True)):
             value = own.get(f'max_{order}') if own.get(f'has_{order}_limits') else None
             if value is None and order == 'velocity' and 'velocity' in urdf:
                 value = float(_words(urdf['velocity'], name, 1)[0])
             if value is None and guess and found:
                 value = found[-1] / GUESS[k - 1]
-                guessed.append(f'J{number_} {order}')
+                guessed.append(f'{axis} {order}')
             demand(
                 value is not None,
                 f'max_{order} (has_{order}_limits) is missing; or plan with --limits guess',
@@ -262,7 +330,7 @@ def _limits(
             )
             found.append(number(value, f'{where}.max_{order}', *bounds))
         travel = np.array([-inf, inf])
-        if elements[name].get('type') == 'revolute':
+        if elements[name].get('type') != 'continuous':
             travel = _words(f'{urdf.get("lower", "")} {urdf.get("upper", "")}', name, 2)
         if own.get('has_position_limits'):
             given_ends = [own.get(f'{end}_position') for end in ('min', 'max')]

@@ -5,6 +5,9 @@ Each joint is a line in W at q = 0: the direction and a point of its axis. A poi
   x(q) = S_1(q_1) ... S_n(q_n) x(0),   S_i(q) x = a_i + Rot(u_i, q) (x - a_i)
 
 where joint n is nearest to the tool. Directions turn likewise, without the points a_i.
+
+Further joints, a rail or a positioner, lie between the part and joint 1. The path has their
+positions, so poses are first moved to where the arm sees them (``carried``).
 """
 
 from math import pi
@@ -14,10 +17,12 @@ import numpy as np
 from cnc_interp.core import FloatArray, jet
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.core.kernels import njit
+from cnc_interp.machine_model.joint import ARM
 
-#: Places in a row of the packed chain: direction and point of a joint. Two rows follow the joints:
-#: the tip and the side of the tool at q = 0; its axis, then reach [m], spin [rad].
-DIRECTION, POINT = slice(0, 3), slice(3, 6)
+#: Places in a row of the packed chain: direction and point of a joint, and whether it slides. Two
+#: rows follow the joints of the arm: the tip and the side of the tool at q = 0; its axis, then
+#: reach [m], spin [rad]. The last rows are further joints, from the part on.
+DIRECTION, POINT, SLIDES, BESIDE = slice(0, 3), slice(3, 6), 6, ARM + 2
 TIP, SIDE, AXIS, REACH, SPIN = 0, 3, 0, 3, 4
 #: Newton's method: most steps, longest step [rad], and misfit at which it ends [-].
 STEPS, LONGEST, ENDED = 60, 0.4, 1e-13
@@ -294,7 +299,50 @@ def joint_jets(
 
 @njit(cache=True, nogil=True, inline='always')
 def spin_of(packed: FloatArray) -> Jet:
-    return jet.constant(packed[len(packed) - 1, SPIN])
+    return jet.constant(packed[ARM + 1, SPIN])
+
+
+@njit(cache=True, nogil=True)
+def carried(joint: FloatArray, p: VectorJet, o: VectorJet, w: Jet) -> tuple[VectorJet, VectorJet]:
+    """Return the jets of a pose as seen beyond a further joint at w: S(w)^-1 of it."""
+    u, a = (joint[0], joint[1], joint[2]), (joint[3], joint[4], joint[5])
+    if joint[SLIDES] != 0.0:
+        moved = (
+            jet.subtract(p[0], jet.scale(w, u[0])),
+            jet.subtract(p[1], jet.scale(w, u[1])),
+            jet.subtract(p[2], jet.scale(w, u[2])),
+        )
+        return moved, o
+    s, c = jet.sine_cosine(w)
+    s = jet.scale(s, -1.0)
+    arm = (
+        jet.subtract(p[0], jet.constant(a[0])),
+        jet.subtract(p[1], jet.constant(a[1])),
+        jet.subtract(p[2], jet.constant(a[2])),
+    )
+    turned = jet.rotated(u, s, c, arm)
+    back = (
+        jet.add(turned[0], jet.constant(a[0])),
+        jet.add(turned[1], jet.constant(a[1])),
+        jet.add(turned[2], jet.constant(a[2])),
+    )
+    return back, jet.rotated(u, s, c, o)
+
+
+@njit(cache=True, nogil=True)
+def seen(
+    packed: FloatArray, tip: FloatArray, axis: FloatArray, beside: FloatArray, back: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return poses (m, 3) as the arm sees them, with further joints at (m, k); or the way back."""
+    tips, axes, still = tip.copy(), axis.copy(), np.zeros(3)
+    for i in range(len(tip)):
+        for j in range(beside.shape[1]):
+            k, sense = (beside.shape[1] - 1 - j, -1.0) if back else (j, 1.0)
+            p, o = pose_jets(tips[i], axes[i], still, still)
+            p, o = carried(packed[BESIDE + k], p, o, jet.constant(sense * beside[i, k]))
+            for c in range(3):
+                tips[i, c], axes[i, c] = p[c][0], o[c][0]
+    return tips, axes
 
 
 @njit(cache=True, nogil=True)
@@ -302,9 +350,9 @@ def forward(packed: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return tool tips [m] and axes [-], shape (m, 3), of joint positions (m, n)."""
     tip, axis = np.empty((len(q), 3)), np.empty((len(q), 3))
     for i in range(len(q)):
-        tool = posture(packed, q[i])[0]
+        tool = posture(packed, q[i, :ARM])[0]
         tip[i], axis[i] = tool[0], tool[2]
-    return tip, axis
+    return seen(packed, tip, axis, q[:, ARM:], True)
 
 
 @njit(cache=True, nogil=True)
@@ -365,12 +413,16 @@ def followed(
 def rates(
     packed: FloatArray,
     home: FloatArray,
+    beside: FloatArray,
     tip: FloatArray,
     axis: FloatArray,
     step: FloatArray,
     turn: FloatArray,
 ) -> FloatArray:
-    """Return q_s of the joints nearest to ``home``, (m, n); rows as in ``Transform.rates``."""
+    """Return q_s of the joints nearest to ``home``, (m, n); rows as in ``Transform.rates``.
+
+    Further joints rest at ``beside`` (k,).
+    """
     found = np.full((len(tip), len(home)), np.nan)
     for i in range(len(tip)):
         o, w = axis[i], turn[i]
@@ -378,6 +430,8 @@ def rates(
             [w[1] * o[2] - w[2] * o[1], w[2] * o[0] - w[0] * o[2], w[0] * o[1] - w[1] * o[0]]
         )
         p, tool = pose_jets(tip[i], o, step[i], slope)
+        for k in range(len(beside)):
+            p, tool = carried(packed[BESIDE + k], p, tool, jet.constant(beside[k]))
         q, measure = joint_jets(packed, p, tool, home, 0.0, NO_JOINT, spin_of(packed))
         if measure > 0.0:
             found[i] = q[1]

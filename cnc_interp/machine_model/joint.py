@@ -9,6 +9,7 @@ from cnc_interp.core import FloatArray
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 UP: Vector = (0.0, 0.0, 1.0)
+ARM = 6  #: Number of joints of an arm; further ones, a rail or a positioner, follow them in q.
 TOOL_TIP, WORKPIECE = 'tool_tip', 'workpiece'  #: Links of the tool tip, and of the programs' zero.
 
 

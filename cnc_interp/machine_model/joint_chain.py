@@ -16,6 +16,7 @@ from cnc_interp.core import DEG, BlockError, FloatArray, MachineError, Singulari
 from cnc_interp.machine_model import chain_kernels as kernel
 from cnc_interp.machine_model.error_map import NO_ERRORS, ErrorMap
 from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.machine import Machine, arm_of
 
 SEEDS = 128  #: Number of joint positions from which Newton's method searches all configurations.
@@ -29,16 +30,17 @@ NEARBY = np.linspace(0.0, 30.0, 121) * DEG
 @dataclass(frozen=True)
 class JointChain:
     machine: Machine  #: The machine.
-    packed: FloatArray  #: (n + 2, 6): See ``chain_kernels.py``.
+    packed: FloatArray  #: (n + 2, 7): See ``chain_kernels.py``.
 
     @staticmethod
     def of(machine: Machine) -> JointChain:
-        arm = arm_of(machine)
-        n = len(arm.lines)
-        packed = np.zeros((n + 2, 6))
-        packed[:n], packed[n] = arm.lines, arm.tool[:2].ravel()
+        arm, n = arm_of(machine), ARM
+        packed = np.zeros((len(arm.lines) + 2, 7))
+        packed[:n, :6], packed[n, :6] = arm.lines[:n], arm.tool[:2].ravel()
         packed[n + 1, :3] = arm.tool[2]
-        points = np.vstack([arm.lines[:, 3:], arm.tool[0]])
+        packed[kernel.BESIDE :, :6] = arm.lines[n:]
+        packed[kernel.BESIDE :, kernel.SLIDES] = machine.is_linear[n:]
+        points = np.vstack([arm.lines[:n, 3:], arm.tool[0]])
         packed[n + 1, kernel.REACH] = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
         packed[n + 1, kernel.SPIN] = arm.spin
         return JointChain(machine, packed)
@@ -53,16 +55,21 @@ class JointChain:
 
     @property
     def spin(self) -> float:
-        return float(self.packed[-1, kernel.SPIN])
+        return float(self.packed[ARM + 1, kernel.SPIN])
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched arm [m]."""
+        return float(self.packed[ARM + 1, kernel.REACH])
 
     def spun(self, spin: float) -> JointChain:
         packed = self.packed.copy()
-        packed[-1, kernel.SPIN] = spin
+        packed[ARM + 1, kernel.SPIN] = spin
         return replace(self, packed=packed)
 
     def spin_at(self, q: FloatArray) -> float:
         """Return the spin of the tool at joint positions (n,) [rad]."""
-        side, axis = np.array(kernel.posture(self.packed, q)[0][1:])
+        side, axis = np.array(kernel.posture(self.packed, q[:ARM])[0][1:])
         still = jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2])
         x = np.array(kernel.side_jets(still, jet.constant(0.0)))[:, 0]
         return float(np.arctan2(np.cross(x, side) @ axis, x @ side))
@@ -70,7 +77,8 @@ class JointChain:
     def reached(self, tip: FloatArray, axis: FloatArray, stands: FloatArray) -> FloatArray:
         """Return the joints (n,) for a pose of the tool that are nearest to the present ones.
 
-        The tool keeps its spin. Raises BlockError if no configuration reaches the pose.
+        The tool keeps its spin, and further joints stay. Raises BlockError if no configuration
+        reaches the pose.
         """
         return self.standing(stands).start(tip, axis, 0)[0]
 
@@ -89,8 +97,9 @@ class JointChain:
     def rates(
         self, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
     ) -> FloatArray:
+        home, n = arm_of(self.machine).home, ARM
         rows = [np.ascontiguousarray(rows) for rows in (tip, axis, step, turn)]
-        return np.asarray(kernel.rates(self.packed, arm_of(self.machine).home, *rows))
+        return np.asarray(kernel.rates(self.packed, home[:n], home[n:], *rows))
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
         """Return the X Y Z of programs, which are the tool tip in W."""
@@ -102,15 +111,33 @@ class JointChain:
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         return self.five_axis.tool_axis(rotary)
 
-    def branches(self, tip: FloatArray, axis: FloatArray) -> FloatArray:
+    def seen(
+        self, tip: FloatArray, axis: FloatArray, beside: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return poses (m, 3) as the arm sees them, with further joints at (m, k)."""
+        return kernel.seen(self.packed, tip, axis, np.ascontiguousarray(beside), False)
+
+    def followed(
+        self, tip: FloatArray, axis: FloatArray, beside: FloatArray, start: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Follow poses (m, 3), with further joints at (m, k), as ``chain_kernels.followed``."""
+        seen = self.seen(tip, axis, beside)
+        q, least = kernel.followed(self.packed, *seen, start[:ARM])
+        return np.hstack([q, beside[: len(q)]]), least
+
+    def branches(
+        self, tip: FloatArray, axis: FloatArray, beside: FloatArray | None = None
+    ) -> FloatArray:
         """Return the joints of each configuration that reaches a pose, the nearest to home first.
 
-        Whole turns are those nearest to home within the travel. Singular configurations are left
-        out.
+        Further joints are at ``beside`` (k,), or at home. Whole turns are those nearest to home
+        within the travel. Singular configurations are left out.
         """
-        home = arm_of(self.machine).home
-        low, high = self.machine.travel.T
-        spread = np.random.default_rng(1).uniform(-pi, pi, (SEEDS, len(home)))
+        home, n = arm_of(self.machine).home, ARM
+        home, beside = home[:n], home[n:] if beside is None else beside
+        low, high = self.machine.travel[:n].T
+        (tip,), (axis,) = self.seen(tip[None], axis[None], beside[None])
+        spread = np.random.default_rng(1).uniform(-pi, pi, (SEEDS, n))
         found, measure = kernel.solutions(self.packed, tip, axis, np.vstack([home, spread]))
         found = found[measure > self.least]
         found += 2.0 * pi * np.round((home - found) / (2.0 * pi))
@@ -122,7 +149,8 @@ class JointChain:
         for q in found:
             if all(np.abs(q - other).max() > SAME for other in kept):
                 kept.append(q)
-        return np.array(kept).reshape(-1, len(home))
+        arm = np.array(kept).reshape(-1, n)
+        return np.hstack([arm, np.tile(beside, (len(arm), 1))])
 
     @property
     def least(self) -> float:
@@ -135,14 +163,19 @@ class JointChain:
 
     def pose_rates(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> FloatArray:
         """Return the rates of the pose (6, n); the spin replaces a joint that leads."""
-        tool, rates = kernel.posture(self.packed, q)
+        tool, rates = kernel.posture(self.packed, q[:ARM])
         if leads != kernel.NO_JOINT:
             rates[:3, leads], rates[3:, leads] = 0.0, tool[2]
         return rates
 
-    def start(self, tip: FloatArray, axis: FloatArray, line: int) -> tuple[FloatArray, float]:
-        """Return joints (n,) [rad] of a start pose and the sign that ``sense`` has there."""
-        found = self.branches(tip, axis)
+    def start(
+        self, tip: FloatArray, axis: FloatArray, line: int, beside: FloatArray | None = None
+    ) -> tuple[FloatArray, float]:
+        """Return joints (n,) of a start pose and the sign that ``sense`` has there.
+
+        ``beside``: as in ``branches``.
+        """
+        found = self.branches(tip, axis, beside)
         if not len(found):
             raise BlockError(
                 f'no configuration of {self.machine.name} reaches this pose within the '
@@ -162,7 +195,7 @@ class JointChain:
             )
         rates, sense = self.pose_rates(q), self.sense(q)
         nearest, joint, there = np.inf, 0, 0.0
-        for k, sign in np.ndindex(len(q), 2):
+        for k, sign in np.ndindex(ARM, 2):
             along = (1.0 - 2.0 * sign) * np.eye(len(q))[k]
             passed = np.array([self.sense(q + way * along) != sense for way in NEARBY])
             if not passed.any() or NEARBY[passed.argmax()] >= nearest + NEARBY[1]:

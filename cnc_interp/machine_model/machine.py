@@ -26,6 +26,7 @@ from cnc_interp.machine_model.axis_drives import (
 )
 from cnc_interp.machine_model.demands import Mistakes, demand
 from cnc_interp.machine_model.geometric_errors import GeometricErrors, geometric_errors, table_of
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.machine_entries import Macro, control, homing, macros, standstill
 from cnc_interp.machine_model.signals import Signals, signals
 
@@ -84,7 +85,8 @@ class Machine:
 
     An extra axis is a linear axis U, V or W that carries the tool beside X Y Z, such as the quill
     W of a boring mill along Z: the tool stands at X Y Z plus the sum of ``w_k d_k``, with w_k its
-    position and d_k its direction.
+    position and d_k its direction. Rail U and positioner E1 of an arm are extra axes, too; the six
+    joints follow from the pose of the tool.
 
     The tool axis at rest is machine +Z. A rotary axis carries either the workpiece (``table``) or
     the tool (``head``); the primary carries the secondary. With R_i the rotation of axis i about
@@ -106,7 +108,7 @@ class Machine:
     offsets: FloatArray  #: (3, 3): Workpiece, secondary and primary offset [m].
     tool_offset: FloatArray  #: (2, 3): On heads: tip to secondary, then to primary pivot [m].
     singular_cone: float  #: Smallest allowed angle between a turning tool axis and the pole [rad].
-    #: (k, 3): Unit vectors in M along which the extra axes move the tool [-].
+    #: (k, 3): Unit vectors in M along which the extra axes move the tool [-]; 0 for an arm.
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     #: Drives of the axes that are not ideal, by axis name.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
@@ -134,6 +136,9 @@ class Machine:
     def is_linear(self) -> BoolArray:
         linear = np.full(len(self.axis_names), self.arm is None)
         linear[3 : len(linear) - len(self.extra_direction)] = False
+        if self.arm is not None and self.arm.further:
+            slides = [letter in entries.EXTRA_LETTERS for letter in self.arm.further]
+            linear[-len(slides) :] = slides
         linear.flags.writeable = False
         return linear
 
@@ -346,7 +351,17 @@ def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
 
 
 #: Entries of the machine file of an arm.
-ARM = ('name', 'urdf', 'base', 'flange', 'tcp', 'part', 'joint_limits', 'limits', 'home_deg') + (
+ARM_ENTRIES = (
+    'name',
+    'urdf',
+    'base',
+    'flange',
+    'tcp',
+    'part',
+    'joint_limits',
+    'limits',
+    'home_deg',
+    'start',
     'spin_deg',
     'singular_cone_deg',
     'standstill',
@@ -355,14 +370,15 @@ ARM = ('name', 'urdf', 'base', 'flange', 'tcp', 'part', 'joint_limits', 'limits'
 
 
 def _arm(content: dict[str, Any], folder: Path) -> Machine:
-    entries.require_known(content, ARM, 'arm')
+    entries.require_known(content, ARM_ENTRIES, 'arm')
     found, limits = arm(content, folder)
     cone = content.get('singular_cone_deg', 1.0)
     shape = entries.linear_geometry({})
     shape['singular_cone'] = entries.number(cone, 'singular_cone_deg', 1e-2, 30.0) * DEG
     return Machine(
         name=str(content.get('name', 'unnamed')),
-        axis_names=tuple(f'J{k}' for k in range(1, len(limits) + 1)),
+        axis_names=(*(f'J{k}' for k in range(1, ARM + 1)), *found.further),
+        extra_direction=np.zeros((len(found.further), 3)),
         limits=Limits(limits),
         standstill=standstill(content),
         control=control(content),

@@ -58,6 +58,7 @@ CHANGE, START, STOP, REVERSAL, SPEED = STANDSTILL = (
 )
 USUAL_REVERSAL = 0.2  #: Default reversal time of a tapping spindle [s].
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
+POSITIONERS = ('E1', 'E2', 'E3')  #: Names of turning extra axes, which only an arm has.
 LOCKED_LIMITS = AxisLimits(1.0, 1.0, 1.0, (-1e-9, 1e-9))  #: No motion reaches them [rad, s].
 SAME_PLACE = 1e-9  #: Tolerance with which a table of limits must cover the travel [m, rad].
 #: Plausible size of velocity, acceleration and jerk limits in SI, of linear and of rotary axes.

@@ -30,7 +30,6 @@ from cnc_interp.page.readings import (
 )
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.page.times_dialog import TimesDialog
-from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import in_program
 
@@ -132,7 +131,7 @@ class Page:
         for name in dict.fromkeys((*named, *axes)):
             with ui.element('div').classes('place'):
                 ui.label(name).classes('name')
-                if name in named or name in EXTRA_LETTERS:  # joints of an arm have no words
+                if name in (*named, *self._machine.extra_names):  # joints of an arm have no words
                     self._label(f'work {name}').tooltip('in the program, mm or °')
                 else:
                     ui.label()

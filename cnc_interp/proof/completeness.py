@@ -144,6 +144,7 @@ def _prove_extra_words(
         ends = np.stack([position[:, machine.axis_names.index(name)] for position in both])
         gap = np.maximum(words[:, k] - ends.max(axis=0), ends.min(axis=0) - words[:, k])
         gap = np.maximum(gap, 0.0)
+        name += '' if machine.axis(name).linear else ' at 1 m'
         ledger.judge(f'word missed by {name}', gap, program.contour, slack=SLACK, rows=rows)
         alone = resting & (np.r_[0.0, np.abs(np.diff(words[:, k]))] > SLACK)
         nearer = np.abs(ends - words[:, k]).argmin(axis=0)

@@ -13,6 +13,7 @@ from cnc_interp.core.small_files import read_yaml, small_text
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform_port import Transform
 
+ARM = 6  #: Number of joints of an arm.
 LONGEST = 1 << 22  #: Longest URDF [bytes].
 
 
@@ -30,9 +31,10 @@ def forward_of(machine: Machine) -> Forward:
 
 @dataclass(frozen=True)
 class OwnChain:
-    #: Fixed transforms (4, 4), and the axis (3,) of the joint between each two of them.
+    #: Fixed transforms (4, 4), and the joint between each two of them: its axis (3,), turned where
+    #: it is crossed from child to parent; whether it slides; its column.
     frames: list[FloatArray]
-    axes: list[FloatArray]
+    joints: list[tuple[FloatArray, bool, int]]
 
     @staticmethod
     def of(machine: Machine) -> OwnChain:
@@ -41,25 +43,26 @@ class OwnChain:
         given = content['urdf']  # the name of a file, or all of it
         text = given if '<' in given else small_text(file.parent / given, LONGEST)
         robot = ElementTree.fromstring(text)
-        above = {
-            joint.find('child').attrib['link']: joint  # type: ignore[union-attr]
-            for joint in robot.findall('joint')
-        }
-        links = _Links(above)
+        links = _Links(
+            {joint.find('child').attrib['link']: joint for joint in robot.findall('joint')}  # type: ignore[union-attr]
+        )
         frames, axes = links.between(content['base'], content['flange'])
         frames[0] = np.linalg.inv(links.frame(content['part'], content['base'])) @ frames[0]
         frames[-1] = frames[-1] @ links.frame(content['tcp'], content['flange'])
-        return OwnChain(frames, axes)
+        # The joints of the arm come last in the chain, and have the first columns.
+        columns = [*range(ARM, len(axes)), *range(ARM)]
+        return OwnChain(frames, [(*one, k) for one, k in zip(axes, columns, strict=True)])
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         pose = np.broadcast_to(self.frames[0], (len(q), 4, 4))
-        for k, axis in enumerate(self.axes):
+        for frame, (axis, slides, k) in zip(self.frames[1:], self.joints, strict=True):
             x, y, z = axis
-            across = np.zeros((4, 4))
+            across, at = np.zeros((4, 4)), q[:, k, None, None]
             across[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-            angle = q[:, k, None, None]
-            turn = np.eye(4) + np.sin(angle) * across + (1.0 - np.cos(angle)) * across @ across
-            pose = pose @ turn @ self.frames[k + 1]
+            turn = np.eye(4) + np.sin(at) * across + (1.0 - np.cos(at)) * across @ across
+            shift = np.zeros((4, 4))
+            shift[:3, 3] = axis
+            pose = pose @ (np.eye(4) + at * shift if slides else turn) @ frame
         return pose[:, :3, 3], -pose[:, :3, 2]
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
@@ -70,24 +73,39 @@ class OwnChain:
 class _Links:
     above: dict[str, ElementTree.Element]
 
-    def between(self, base: str, link: str) -> tuple[list[FloatArray], list[FloatArray]]:
-        frames, axes = [np.eye(4)], list[FloatArray]()
-        while link != base:
-            joint = self.above[link]
-            link = joint.find('parent').attrib['link']  # type: ignore[union-attr]
-            if joint.attrib['type'] != 'fixed':
-                along = joint.find('axis')
-                words = '1 0 0' if along is None else along.attrib['xyz']
-                axis = np.array([float(word) for word in words.split()])
-                axes.insert(0, axis / np.sqrt(axis @ axis))
-                frames.insert(0, np.eye(4))
-            origin = joint.find('origin')
+    def between(
+        self, base: str, link: str
+    ) -> tuple[list[FloatArray], list[tuple[FloatArray, bool]]]:
+        """Return the frames between the joints from one link to another, and these joints."""
+        up, down = self.upward(base), self.upward(link)
+        while up and down and up[-1] is down[-1]:
+            del up[-1], down[-1]
+        frames, joints = [np.eye(4)], list[tuple[FloatArray, bool]]()
+        for joint in up + down[::-1]:
+            origin, along = joint.find('origin'), joint.find('axis')
             given = {} if origin is None else origin.attrib
             xyz, rpy = (
                 [float(word) for word in given.get(key, '0 0 0').split()] for key in ('xyz', 'rpy')
             )
-            frames[0] = _frame(xyz, rpy) @ frames[0]
-        return frames, axes
+            backwards, frame = joint in up, _frame(xyz, rpy)
+            if not backwards:
+                frames[-1] = frames[-1] @ frame
+            if joint.attrib['type'] != 'fixed':
+                words = '1 0 0' if along is None else along.attrib['xyz']
+                axis = np.array([float(word) for word in words.split()])
+                axis /= -np.sqrt(axis @ axis) if backwards else np.sqrt(axis @ axis)
+                joints.append((axis, joint.attrib['type'] == 'prismatic'))
+                frames.append(np.eye(4))
+            if backwards:
+                frames[-1] = frames[-1] @ np.linalg.inv(frame)
+        return frames, joints
+
+    def upward(self, link: str) -> list[ElementTree.Element]:
+        found = list[ElementTree.Element]()
+        while link in self.above:
+            found.append(self.above[link])
+            link = found[-1].find('parent').attrib['link']  # type: ignore[union-attr]
+        return found
 
     def frame(self, given: Any, link: str) -> FloatArray:
         if isinstance(given, str):

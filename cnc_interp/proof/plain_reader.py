@@ -99,7 +99,7 @@ IDLE_CL = frozenset(
         'FROM',
     )
 )
-_WORD = re.compile(r'([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*')
+_WORD = re.compile(r'(E\d(?=\s*=)|[A-Z])(?:(?<=\d)\s*=)?\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*')
 #: Words that mirror or scale X Y Z.
 SCALING = {'G50', 'G50.1', 'G51', 'G51.1', 'MIRROR', 'AMIRROR', 'SCALE', 'ASCALE'}
 _NAMED = re.compile(
@@ -170,6 +170,8 @@ class PlainSettings:
     after: Collection[str] = ('M2', 'M5', 'M9', 'M30')
     by_hand: bool = True  #: Whether the operator changes the tool at M6.
     dwells: tuple[float, ...] = (1.0,)  #: Possible units of an integer P in a dwell [s].
+    #: (k,): Extra axes before the first word that names them [m or rad]; NaN is not compared.
+    beside: tuple[float, ...] = ()
 
 
 def read_plainly(
@@ -208,6 +210,7 @@ class _State:
         self.speed, self.per_turn = 0.0, False
         self.tool_number = self.in_spindle = float(settings.tool)
         self.here = np.zeros(len(axis_names))  # in m and rad
+        self.here[len(axis_names) - len(settings.beside) :] = settings.beside
         self.tool: FloatArray | None = None
         self.motion, self.plane, self.unit = '', PLANES['17'], MM
         self.absolute, self.inverse, self.tcp = True, False, False
@@ -428,7 +431,7 @@ class _State:
         for letter, value in words.items():
             if letter in self.names:
                 k = self.names.index(letter)
-                size = DEG if letter in 'ABC' else self.unit
+                size = DEG if letter[0] in 'ABCE' else self.unit
                 factor, zero = (self.factor()[k], self.offset()[k]) if k < 3 else (1.0, 0.0)
                 end[k] = factor * value * size + (zero if self.absolute else start[k])
         arc = self.motion in ('2', '3')

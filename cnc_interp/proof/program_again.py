@@ -135,6 +135,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
             machine.signals.after,
             machine.signals.changed_by_hand,
             (1.0,) if linuxcnc else {'fanuc': (1e-3,)}.get(dialect, (1.0, 1e-3, 0.0)),
+            () if machine.arm is None else (float('nan'),) * len(machine.arm.further),
         )
         moves = read_plainly(text, str(program), names, plain)
         by_lines = _Comparison(plan.blocks, machine, tolerances)
@@ -294,7 +295,7 @@ class _Comparison:
             if away > angle:
                 self.fault(move, f'its rotary words are {away:.3g} rad from those of row {end}')
         extra = self.blocks['extra_axes'][end]
-        if len(extra) and np.abs(extra - move.extra).max() > SAME_PLACE:
+        if (np.abs(extra - move.extra) > SAME_PLACE).any():
             self.fault(move, f'its extra axes are not those of row {end}')
         if before is not None:
             self.way(move, before, rows)

@@ -161,14 +161,19 @@ def plan_to_files(
 
 def spun_for(
     program: Blocks, transform: Transform, settings: Settings
-) -> tuple[tuple[Transform, FloatArray] | None, str]:
-    """Return what ``Chain`` takes as ``spun`` for a whole program, and how it was chosen."""
+) -> tuple[Blocks, tuple[Transform, FloatArray] | None, str]:
+    """Return a whole program, what ``Chain`` takes as ``spun`` for it, and how it was chosen.
+
+    The blocks may have other positions of a rail or positioner, see ``further_joints.py``.
+    """
     if settings.spin == 'fixed' or not isinstance(transform, JointChain):
-        return None, ''
+        return program, None, ''
+    from cnc_interp.run.further_joints import placed
     from cnc_interp.run.spin_choice import SpinSearch
 
-    choice = SpinSearch(transform, settings, program).chosen()
-    return (choice.chain, choice.spins), choice.why
+    blocks = placed(program, transform)
+    choice = SpinSearch(transform, settings, blocks).chosen()
+    return blocks, (choice.chain, choice.spins), choice.why
 
 
 @contextmanager
@@ -188,7 +193,7 @@ def planned(
     if settings.spin != 'fixed' and transform.machine.arm is not None:
         with at_fault(stream.source):
             program = Blocks.concatenate(list(parts))
-            spun, why = spun_for(program, transform, settings)
+            program, spun, why = spun_for(program, transform, settings)
         stream.note((int(program.line_number[0]), why))
         parts = iter([program])
     chain = Chain(

@@ -23,7 +23,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septi
 from cnc_interp.kinematics.path_ahead import PathAhead
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import FOLLOWING, NO_GUIDE
-from cnc_interp.machine_model.chain_kernels import followed
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.path_chain import segments_of
@@ -148,9 +148,9 @@ class SpinSearch:
         curve = np.array([spin] + [0.0] * 7)
         starts = self._arrivals(way, curve, number)
         if not number:
-            starts = list(chain.branches(poses[0][0], poses[1][0]))
+            starts = list(chain.branches(*(rows[0] for rows in poses)))
         for start in starts:
-            q, least = followed(chain.packed, *poses, start)
+            q, least = chain.followed(*poses, start)
             self._furthest = max(self._furthest, len(q))
             shift = np.zeros(len(start)) if number else _shift(q, self._chain.machine.travel)
             inside = ((q + shift >= low) & (q + shift <= high)).all()
@@ -173,14 +173,17 @@ class SpinSearch:
         path = self._follow(rows, way.here, first, last)
         return [] if path is None else [path.cell_right[0, -1].copy()]
 
-    def _poses(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
-        """Return poses at even shares of segments; poses in between are taken on chords."""
+    def _poses(self, first: int, last: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return tips, axes and further joints at even shares of segments; between, on chords."""
         row = np.linspace(first, last - 1.0, MOST_POSES)
         known, some = np.arange(first, last), slice(first, last)
-        both = np.hstack([self._segments.bottom[some, 0], self._segments.axis[some]])
+        segments = self._segments
+        both = np.hstack([segments.bottom[some, 0], segments.axis[some], segments.extra[some, 0]])
         poses = np.stack([np.interp(row, known, column) for column in both.T], axis=1)
-        axes = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-        return np.ascontiguousarray(poses[:, :3]), np.ascontiguousarray(axes)
+        tip, axis, beside = (
+            np.ascontiguousarray(part) for part in np.split(poses, [3, 6], axis=1)
+        )
+        return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), beside
 
     def _rows(self, curves: Sequence[FloatArray]) -> FloatArray:
         """Return the spin of each segment up to the end of the last of these cuts, (n, 10)."""
@@ -262,10 +265,15 @@ def _bent_by(curve: FloatArray, bend: FloatArray) -> FloatArray:
 
 
 def _shift(q: FloatArray, travel: FloatArray) -> FloatArray:
-    """Return the whole turns (n,) [rad] that bring a motion into its travel, NaN if none does."""
+    """Return the whole turns (n,) [rad] that bring a motion into its travel, NaN if none does.
+
+    Further joints are where the program has them.
+    """
     turn = 2.0 * pi
     low, high = (
         np.ceil((travel[:, 0] - q.min(axis=0)) / turn),
         np.floor((travel[:, 1] - q.max(axis=0)) / turn),
     )
-    return np.where(low <= high, turn * np.clip(0.0, low, high), np.nan)
+    found = np.where(low <= high, turn * np.clip(0.0, low, high), np.nan)
+    found[ARM:] = 0.0
+    return found

@@ -14,7 +14,7 @@ from cnc_interp.core import MM, FloatArray, IntArray, ProgramError
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.path_checks import check_travel
-from cnc_interp.machine_model.chain_kernels import followed
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform_port import ToolLine, Transform, reached, tool_line
@@ -287,7 +287,7 @@ def _drawn_back(chain: JointChain, q: FloatArray, height: float) -> FloatArray:
     tip, axis = (rows[0] for rows in chain.forward(q[None]))
     up = np.linspace(0.0, height, 2 + int(height / STEP))
     poses = tip + up[:, None] * axis, np.tile(axis, (len(up), 1))
-    found, _ = followed(chain.packed, *poses, q)
+    found, _ = chain.followed(*poses, np.tile(q[ARM:], (len(up), 1)), q)
     low, high = chain.machine.travel.T
     regular = np.abs([np.linalg.det(chain.pose_rates(row)) for row in found]) > chain.least
     sound = regular & ((found >= low) & (found <= high)).all(axis=1)
@@ -314,7 +314,7 @@ def _along_tool(
         contour_tolerance=np.full(2, THERE),
         orientation_tolerance=np.full(2, THERE),
         line_number=np.zeros(2, dtype=np.int64),
-        extra=np.zeros((2, 0)),
+        extra=np.tile(start[ARM:], (2, 1)),
     )
     settings = Settings(flank_height=flank_height)
     segments = segments_of(blocks, chain, settings)

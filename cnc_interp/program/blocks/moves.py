@@ -63,11 +63,7 @@ class Moves:
         (self.dense, self.led, self.since_arc), self.undecided = preceding, 0
         self.sweep = np.nan_to_num(rows[:, col.ROTARY] - before[:, col.ROTARY])
         self.axis_before = before[:, col.AXIS]
-        self._along = np.zeros((3, 3))
-        for letter, direction in zip(
-            geometry.machine.extra_names, geometry.machine.extra_direction, strict=True
-        ):
-            self._along[col.EXTRA_LETTERS.index(letter)] = direction
+        self._along = col.extra_directions(geometry.machine)
         self._start = self._starts()
         self._arc = np.isfinite(rows[:, col.SWEEP])
         # Of a tool whose length turns with it, the programmed tip moves on lines and arcs.

@@ -9,6 +9,7 @@ from math import inf, nan
 import numpy as np
 
 from cnc_interp.core import DEG, FloatArray, IntArray, ProgramError
+from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import (
     GO_ON,
@@ -83,8 +84,11 @@ class TargetColumns:
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
         self._preceding = NOTHING_BEFORE  # the next motion
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
-        names = geometry.machine.extra_names
-        self._extra = [col.EXTRA.start + col.EXTRA_LETTERS.index(name) for name in names]
+        #: Positions of the extra axes before the first word, as in the columns EXTRA [m or rad].
+        self.extra_start = np.zeros(3)
+        if (arm := geometry.machine.arm) is not None:
+            self.extra_start[: len(arm.further)] = arm.home[ARM:]
+        self._extra = [col.EXTRA.start + k for k in range(len(geometry.machine.extra_names))]
 
     def add(self, row: tuple[float, ...], changed: int | None = None) -> None:
         if len(self._rows) >= self._full:

@@ -32,7 +32,9 @@ def assign(at: Execution, words: BlockWords) -> None:
     for name, value in words.sets:
         if name in ('A3', 'B3', 'C3', 'RPL', 'ANG', *CURVE_WORDS, *NORMAL_WORDS):
             continue
-        if name == 'CR':
+        if name in mover.extra_letters:
+            words.put(str(name), value, f'{name}={value:g}')
+        elif name == 'CR':
             words.put('R', value, f'CR={value:g}')
         elif name == 'TURN':
             words.put('P', value + 1.0, f'TURN={value:g}')

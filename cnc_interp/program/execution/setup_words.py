@@ -6,7 +6,6 @@ import numpy as np
 
 from cnc_interp.core import DEG, DependsOn, FloatArray
 from cnc_interp.program.execution.context import Execution
-from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.program.job import ALL_OFFSETS, MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.text import code_tables as codes
@@ -184,7 +183,8 @@ def go_to_reference(at: Execution, code: str, words: BlockWords) -> None:
     if named or beside:
         mover.go_to(mover.target(words), rapid=True)
     point, rotary = mover.point.copy(), mover.rotary.copy()
-    mover.extra = np.where([letter in beside for letter in EXTRA_LETTERS], 0.0, mover.extra)
+    for letter in beside:
+        mover.extra[mover.extra_letters.index(letter)] = 0.0
     for letter in named or ([] if beside else letters):
         home = mover.setup.reference_points.get(code, {}).get(letter, 0.0)
         if letter in 'XYZ':

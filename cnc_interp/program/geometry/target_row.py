@@ -2,6 +2,11 @@
 
 from math import nan
 
+import numpy as np
+
+from cnc_interp.core import FloatArray
+from cnc_interp.machine_model.machine import Machine
+
 #: Tool tip, or axis positions minus those of the workpiece zero [m]; tool axis [-], NaN if rotary
 #: words give it; rotary positions [rad].
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
@@ -13,7 +18,8 @@ CONTOUR, ORIENTATION, LINE = 14, 15, 16  #: Tolerances [m], and the line of the 
 #: Whether POINT is axis positions, or ``COMBINED`` if F is the speed of all axes with degrees
 #: taken as millimetres; feedrate of rotary axes [rad/s].
 AXES, TURN_RATE, COMBINED = 17, 18, 2.0
-#: Centre [m], normal [-] and sweep [rad] of an arc, NaN without; positions of U V W [m].
+#: Centre [m], normal [-] and sweep [rad] of an arc, NaN without; positions of the extra
+#: axes in their order [m or rad].
 CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
 #: How often the line at which a run starts was reached before the target; the reader counts.
 PASSES = 29
@@ -26,4 +32,10 @@ LENGTH, WIDTH = 34, 35
 #: Values of EXACT_STOP for M1 and M0. If several stops meet, the largest value is used.
 AT_M1, AT_M0 = 2.0, 3.0
 NO_ARC = (nan,) * 7  #: The columns CENTRE, NORMAL and SWEEP of a line that is not an arc.
-EXTRA_LETTERS = 'UVW'  #: Letters of the columns EXTRA.
+
+
+def extra_directions(machine: Machine) -> FloatArray:
+    """Return the directions in M that belong to the columns EXTRA, (3, 3) [-]."""
+    found = np.zeros((3, 3))
+    found[: len(machine.extra_direction)] = machine.extra_direction
+    return found

@@ -15,7 +15,7 @@ from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
 from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.geometry.contact_normal import ContactPath
 from cnc_interp.program.geometry.frames import Frames
-from cnc_interp.program.geometry.target_row import COMBINED, EXTRA_LETTERS
+from cnc_interp.program.geometry.target_row import COMBINED, extra_directions
 from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal.modal_words import MODES, ModalValues
 from cnc_interp.program.notices import Notices
@@ -145,13 +145,9 @@ class ModalState(ModalValues):
         #: Offset of the tool from its programmed place after G40 [m]; None if there is none.
         self.beside: FloatArray | None = None
         self.leaves_contour = False  # whether the next motion leads away from a contour
-        #: Positions of the extra axes U V W, which count from their machine zero [m].
-        self.extra = np.zeros(3)
-        self._along = np.zeros((3, 3))
-        for letter, direction in zip(
-            geometry.machine.extra_names, geometry.machine.extra_direction, strict=True
-        ):
-            self._along[EXTRA_LETTERS.index(letter)] = direction
+        #: Positions of the extra axes, which count from their machine zero [m or rad].
+        self.extra = self.targets.extra_start.copy()
+        self._along = extra_directions(geometry.machine)
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
         self.told_feed_of_turns = False
@@ -252,7 +248,8 @@ class ModalState(ModalValues):
     @property
     def by_axes(self) -> bool:
         """Whether axis words are axis positions: with rotary or extra axes, and without TCP."""
-        return bool(self.rotary_letters or self.extra_letters) and not self.tcp
+        by_words = bool(self.rotary_letters or self.extra_letters) and not self.tcp
+        return by_words and self.geometry.machine.arm is None
 
     @property
     def axes_column(self) -> float:

@@ -7,11 +7,13 @@ from math import inf, nan, pi
 import numpy as np
 
 from cnc_interp.core import DEG, MINUTE, MM, DependsOn, FloatArray, ProgramError
+from cnc_interp.machine_model.joint import ARM
+from cnc_interp.machine_model.machine_entries import POSITIONERS
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, THREAD
 from cnc_interp.program.blocks.functions import acting
 from cnc_interp.program.geometry.arcs import FAULTS, PLANES, Corner
 from cnc_interp.program.geometry.contact_normal import ContactPath, ToolShape
-from cnc_interp.program.geometry.target_row import EXTRA_LETTERS, NO_ARC
+from cnc_interp.program.geometry.target_row import NO_ARC
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.motion.arc_targets import ArcTargets
 from cnc_interp.program.text import code_tables as codes
@@ -19,6 +21,7 @@ from cnc_interp.program.text.control_traits import LINUXCNC
 from cnc_interp.program.text.words import BlockWords
 
 NO_CORNER = Corner('', 0.0)
+SAME_PLACE = 1e-12  #: Points that differ by less are the same [m].
 SAME_AXIS = 1e-9  #: Two directions agree if their cosine is 1 within this [-].
 _TWO_MEANINGS = (
     'machine coordinates with tool-tip programming on: axis positions on Fanuc, tip positions on '
@@ -69,7 +72,7 @@ class Mover(ArcTargets):
                 self._end_at_angle(target, letters, angle * DEG)
             point = self.frames.point(target[:3])
         rotary = self._rotary_target(words, target, machine)
-        self.extra = self.extra_target(words, machine)
+        self._carry(words, machine, point)
         arc: tuple[float, ...] = NO_ARC
         if self.motion >= 2 and arc_words is not None:
             self.demand(not machine, 'an arc in machine coordinates; write G0 or G1', 'G53')
@@ -99,13 +102,13 @@ class Mover(ArcTargets):
         target[wanted] = here[wanted] + (target[given] - here[given]) * slope
 
     def stand_at(self, q: FloatArray) -> None:
-        if self.geometry.machine.arm is not None:
+        if (arm := self.geometry.machine.arm) is not None:
             (point,), (axis,) = self.geometry.forward(q[None])
+            self.extra[: len(arm.further)] = q[ARM:]
             self.go(point, self.rotary, axis, rapid=True)
             return
         own = 3 + len(self.rotary_letters)
-        for letter, value in zip(self.extra_letters, q[own:], strict=True):
-            self.extra[EXTRA_LETTERS.index(letter)] = value
+        self.extra[: len(q) - own] = q[own:]
         rotary = q[3:own] if self.rotary_letters else self.rotary
         point = q[:3] - self.zero
         if self.tcp:
@@ -293,15 +296,24 @@ class Mover(ArcTargets):
 
     def extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
         target = self.extra.copy()
-        for number, value in words.take(self.extra_letters).items():
-            letter = self.extra_letters[number]
-            i = EXTRA_LETTERS.index(letter)
+        for i, value in words.take(self.extra_letters).items():
+            letter = self.extra_letters[i]
             way = words.ways.get(letter, 'IC' if self.incremental and not machine else '')
-            target[i] = value * self.unit + (target[i] if way == 'IC' else 0.0)
+            size = DEG if letter in POSITIONERS else self.unit
+            target[i] = value * size + (target[i] if way == 'IC' else 0.0)
             self.demand(
                 abs(target[i]) <= FARTHEST, 'a coordinate beyond 100,000 mm', f'{letter}{value:g}'
             )
         return target
+
+    def _carry(self, words: BlockWords, machine: bool, point: FloatArray) -> None:
+        before, self.extra = self.extra, self.extra_target(words, machine)
+        turned = np.flatnonzero(self.extra != before)
+        rests = not self.motion or (np.abs(point - self.point) > SAME_PLACE).any()
+        for letter in [] if rests else [self.extra_letters[k] for k in turned]:
+            self.refuse_if(
+                letter in POSITIONERS, 'F has no meaning while the tip rests; write G0', letter
+            )
 
     def _turned(self, here: float, angle: float, way: str) -> float:
         if way == 'DC' or (self.settings.rotary_sense == 'shortest' and way in ('', 'AC')):

@@ -245,9 +245,7 @@ class ClReader:
                 0.0,
                 nan,
                 *arc,
-                0.0,
-                0.0,
-                0.0,
+                *self.targets.extra_start,
             )
         )
 

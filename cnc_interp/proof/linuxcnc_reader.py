@@ -102,7 +102,7 @@ def read_by_linuxcnc(
     command = interpreter()
     if not command:
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
-    if len(axis_names) > 5:
+    if not set(axis_names) <= set('XYZABC'):
         raise LinuxCNCError("LinuxCNC's rs274 prints no extra axes")
     setup = setup or Setup()
     text = _prepared(text, skip, setup)

@@ -253,7 +253,7 @@ FINI
 
 
 def test_spin_auto_moves_the_rail_between_cuts_to_where_the_arm_reaches_them(tmp_path, capsys):
-    machine = changed(tmp_path, base='floor', part='{xyz_mm: [700, 0, 400]}')
+    machine = changed(tmp_path, base='floor', part='{xyz_mm: [700, 0, 400]}', start='{}')
     assert machine.axis_names[6:] == ('U',)
     text = LONG.format(-300, 1800)
     with pytest.raises(BlockError):
@@ -263,8 +263,8 @@ def test_spin_auto_moves_the_rail_between_cuts_to_where_the_arm_reaches_them(tmp
     assert proof.ok, proof.failures
     columns, blocks = np.load(tmp_path / 'out/setpoints.npz'), np.load(tmp_path / 'out/blocks.npz')
     line, rail = blocks['line'][columns['block']], columns['position'][:, 6]
-    assert np.abs(rail[line <= 5]).max() == 0.0  # this cut is reached from the start
-    assert np.ptp(rail[line >= 11]) < 1e-12 and 0.4 < rail[-1] < 1.5
+    assert np.abs(rail[line <= 5]).max() < 0.02 * MM  # the corner to the rapid at its end
+    assert np.ptp(rail[line >= 11]) < 0.02 * MM and 0.4 < rail[-1] < 1.5
     said = ['check', str(tmp_path / 'out'), '--machine', str(tmp_path / 'ur10e_cell.yaml')]
     assert main([*said, '--program', str(tmp_path / 'part.apt')]) == 0
     assert 'agree with the blocks' in capsys.readouterr().out

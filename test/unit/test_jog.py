@@ -22,7 +22,7 @@ from cnc_interp.run.setpoints import Wait
 T = 0.001
 MM = 1e-3
 XYZAC = Machine.load('xyzac')
-ARMS = [Machine.load('ur10e'), Machine.load('m710ic_50')]
+ARMS = [Machine.load(name) for name in ('ur10e', 'm710ic_50', 'ur10e_cell')]
 MACHINES = [XYZAC, Machine.load('head_head'), Machine.load('vmc'), ARMS[0]]
 
 

@@ -34,7 +34,7 @@ def with_rotary(on_head):
     )
 
 
-MACHINES = [Machine.load(name) for name in (*BUNDLED, 'ur10e', 'm710ic_50')]
+MACHINES = [Machine.load(name) for name in (*BUNDLED, 'ur10e', 'm710ic_50', 'ur10e_cell')]
 MACHINES += [with_rotary(on_head) for on_head in product((False, True), repeat=2)]
 
 

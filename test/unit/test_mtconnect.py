@@ -2,6 +2,7 @@
 
 import io
 import re
+import socket
 import threading
 import urllib.error
 import urllib.request
@@ -233,4 +234,9 @@ def test_a_client_that_streams_gets_each_observation_once(bench, schemas):
             request = urllib.request.Request(address + target, data=b'x', method=method)
             with pytest.raises(urllib.error.HTTPError, match='501'):
                 urllib.request.urlopen(request)
+        for text in (b'GET\r\n\r\n', b'\0' * 1000, b'GET /probe HTTP/9.9\r\n\r\n'):
+            with socket.create_connection(server.server_address, timeout=60.0) as raw:
+                raw.sendall(text)
+                raw.shutdown(socket.SHUT_WR)
+                assert re.match(rb'HTTP/1.1 (400|505) ', raw.recv(64)), text
         server.shutdown()

@@ -101,11 +101,11 @@ def test_known_limits_are_found_within_their_intervals(recorded, capsys):
     lines = [line for line in out.read_text().splitlines() if line[:3] == '#  ']
     intervals = {
         key.removeprefix('#').strip(): [
-            float(word) for word in values.split(' as ')[0].split('+-')
+            float(word) for word in values.split(' unchanged')[0].split('+-')
         ]
         for key, _, values in (line.partition(': ') for line in lines)
     }
-    hidden = [line.split()[1].removesuffix(':') for line in lines if 'as before' in line]
+    hidden = [line.split()[1].removesuffix(':') for line in lines if 'unchanged' in line]
     checked = 0
     for key, (value, *width) in intervals.items():
         if key in hidden:

@@ -23,7 +23,6 @@ from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septi
 from cnc_interp.kinematics.path_ahead import PathAhead
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import FOLLOWING, NO_GUIDE
-from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.path_chain import segments_of
@@ -265,15 +264,10 @@ def _bent_by(curve: FloatArray, bend: FloatArray) -> FloatArray:
 
 
 def _shift(q: FloatArray, travel: FloatArray) -> FloatArray:
-    """Return the whole turns (n,) [rad] that bring a motion into its travel, NaN if none does.
-
-    Further joints are where the program has them.
-    """
+    """Return the whole turns (n,) [rad] that bring a motion into its travel, NaN if none does."""
     turn = 2.0 * pi
     low, high = (
         np.ceil((travel[:, 0] - q.min(axis=0)) / turn),
         np.floor((travel[:, 1] - q.max(axis=0)) / turn),
     )
-    found = np.where(low <= high, turn * np.clip(0.0, low, high), np.nan)
-    found[ARM:] = 0.0
-    return found
+    return np.where(low <= high, turn * np.clip(0.0, low, high), np.nan)

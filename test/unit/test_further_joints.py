@@ -19,6 +19,7 @@ from cnc_interp.proof.own_chain import OwnChain
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.planning_chain import plan_to_files
+from cnc_interp.run.start_place import approach_inside
 from cnc_interp.settings.options import Settings
 
 CELL = Machine.load('ur10e_cell')
@@ -193,6 +194,18 @@ def test_the_tool_moves_along_its_axis_by_hand_while_both_joints_rest():
     assert np.abs(tips[0] - tip - 0.03 * axis).max() < 1e-9
     assert np.abs(axes[0] - axis).max() < 1e-9
     assert np.array_equal(there[0, 6:], q[6:])
+
+
+def test_the_way_back_to_a_cut_draws_the_tool_back_at_both_ends():
+    stands, place = CELL.arm.home.copy(), CELL.arm.home.copy()
+    stands[U], place[[E1, U]] = 0.2, [0.3, 0.4]
+    path = approach_inside(CHAIN, 30 * MM, stands, place, 20 * MM, 0.01)
+    assert np.abs(path.q[0] - stands).max() < 1e-9 and np.abs(path.q[-1] - place).max() < 1e-9
+    tips, axes = CHAIN.forward(path.q)
+    for end, (row, joints) in {0: (1, stands), -1: (-2, place)}.items():
+        corner = int(np.flatnonzero(path.stop)[row])
+        assert np.abs(tips[corner] - tips[end] - 20 * MM * axes[end]).max() < 1e-9
+        assert np.array_equal(path.q[corner, 6:], joints[6:])
 
 
 def test_the_description_moves_the_links_as_the_chain_moves_the_tool():

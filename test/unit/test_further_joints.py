@@ -137,11 +137,12 @@ def test_a_further_joint_beside_its_word_is_not_proven(joint, tmp_path):
     )
 
 
-def test_a_part_beyond_the_arm_is_reached_with_the_rail(tmp_path):
+@pytest.mark.parametrize('spin', ['fixed', 'auto'])
+def test_a_part_beyond_the_arm_is_reached_with_the_rail(spin, tmp_path):
     text = 'G21 G90 G94\nG0 X0 Y{0} Z20{1}\nG1 Z0 F1500\nY{0} X50\nM30\n'
     with pytest.raises(BlockError, match='no configuration of ur10e_cell reaches this pose'):
         planned(text.format(1500, ''), tmp_path)
-    planned(text.format(1500, ' U1400'), tmp_path)
+    planned(text.format(1500, ' U1400'), tmp_path, spin=spin)
     proof = verify_plan(tmp_path / 'out', CELL)
     assert proof.ok, proof.failures
 
@@ -160,17 +161,17 @@ def test_a_joint_leads_past_a_singular_pose_while_the_rail_moves(tmp_path):
     machine = changed(tmp_path, tcp='{xyz_mm: [80, 0.0, 130.0], rpy_deg: [0.0, 20.0, 0.0]}')
     chain, seen = Transform.of(machine), []
     for first in chain.branches(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0])):
-        # From this pose J5 turns through 0, and the tool leans from its pose there to both sides.
-        at = [np.array([*first[:4], J5, *first[5:]]) for J5 in np.radians([-30.0, 0.0, 30.0])]
-        tips, axes = chain.forward(np.array(at))
-        rail = [0.0, 60.0, 120.0]
+        # J5 turns through 0 while the rail runs, far from where it starts by the machine file.
+        turned = zip(np.radians([-30.0, 0.0, 30.0]), (0.7, 0.76, 0.82), strict=True)
+        at = np.array([[*first[:4], J5, first[5], 0.0, rail] for J5, rail in turned])
         lines = [
-            f'X{x:.6f} Y{y:.6f} Z{z:.6f} I{i:.9f} J{j:.9f} K{k:.9f} U{u}'
-            for (x, y, z), (i, j, k), u in zip(
-                tips / MM + np.outer(rail, [0.0, 1.0, 0.0]), axes, rail, strict=True
+            f'X{x:.6f} Y{y:.6f} Z{z:.6f} I{i:.9f} J{j:.9f} K{k:.9f} U{rail:.6f}'
+            for (x, y, z), (i, j, k), rail in zip(
+                chain.forward(at)[0] / MM, chain.forward(at)[1], at[:, U] / MM, strict=True
             )
         ]
-        begun = replace(machine, arm=replace(machine.arm, home=at[0], spin=chain.spin_at(at[0])))
+        home = np.array([*at[0, :U], -0.7])
+        begun = replace(machine, arm=replace(machine.arm, home=home, spin=chain.spin_at(home)))
         text = '\n'.join(
             ['G21 G90 G94', 'G43.5', f'G0 {lines[0]}', f'G1 F600 {lines[1]}', lines[2]]
         )

@@ -106,7 +106,7 @@ class JointChain:
         return np.asarray(tip)
 
     def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
-        return tip
+        return np.concatenate([tip, q[ARM:]])
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         return self.five_axis.tool_axis(rotary)

@@ -15,12 +15,15 @@ from cnc_interp.processes.node_processes import NODES
 from cnc_interp.proof.own_chain import OwnChain
 
 PYRAMID = Path(__file__).parents[2] / 'examples/pyramid.apt'
-ARM = Machine.load('ur10e')
 
 
 @pytest.mark.thorough
-def test_an_arm_is_shown_jogged_and_runs_a_program():
-    panel = PanelUnderTest({node: {'machine': 'ur10e'} for node in NODES})
+@pytest.mark.parametrize('name', ['ur10e', 'ur10e_cell'])
+def test_an_arm_is_shown_jogged_and_runs_a_program(name):
+    panel, machine = (
+        PanelUnderTest({node: {'machine': name} for node in NODES}),
+        Machine.load(name),
+    )
     try:
         tab = panel.open_in_charge()
         panel.load(tab, PYRAMID)
@@ -31,8 +34,13 @@ def test_an_arm_is_shown_jogged_and_runs_a_program():
         tab.wait(lambda: tab.run('document.querySelector(".jog").dataset.step') == '1')
         panel.press_key(tab, 'jog J1-', lambda: tab.text('axis J1') == '164.0000')
         panel.spin_until(lambda: panel.next_state().state == MachineState.IDLE)
+        for further in machine.extra_names:
+            at = {'E1': '1.0000', 'U': '1.000'}[further]
+            panel.press_key(tab, f'jog {further}+', lambda: tab.text(f'axis {further}') == at)
+            tab.wait(lambda: tab.text(f'work {further}') == at)
+            panel.spin_until(lambda: panel.next_state().state == MachineState.IDLE)
         before = np.array(panel.peers.state.commanded_positions)
-        (tip,), (axis,) = OwnChain.of(ARM).forward(before[None])
+        (tip,), (axis,) = OwnChain.of(machine).forward(before[None])
         wanted = [f'{1e3 * x:z.3f}' for x in tip + 1e-3 * axis]
         panel.press_key(tab, 'jog tool+', lambda: [tab.text(f'work {x}') for x in 'XYZ'] == wanted)
         panel.press_key(tab, 'zero X', lambda: tab.text('work X') == '0.000')

@@ -15,6 +15,8 @@ from cnc_interp.machine.tool_slide import along_tool
 from cnc_interp.machine_model.machine import Machine, arms_directory
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program, read_text
+from cnc_interp.program.job import JobSetup
+from cnc_interp.program.reading import MdiReader
 from cnc_interp.proof.own_chain import OwnChain
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.path_chain import segments_of
@@ -184,6 +186,16 @@ def test_a_joint_leads_past_a_singular_pose_while_the_rail_moves(tmp_path):
         q = np.load(tmp_path / 'out/setpoints.npz')['position']
         seen.append(q[:, 4].min() < 0.0 < q[:, 4].max())
     assert any(seen)
+
+
+def test_words_by_hand_go_on_from_where_the_joints_stand():
+    q = CELL.arm.home + np.array([0.0] * 6 + [0.4, 0.2])
+    tip = CHAIN.forward(q[None])[0][0]
+    assert np.array_equal(CHAIN.counted(q, tip)[3:], q[6:])
+    line = MdiReader(CHAIN, Settings()).line('G91 G1 X5 U10 F600', q, JobSetup())
+    blocks = line.read().blocks
+    assert np.abs(blocks.tip[-1] - tip - [5 * MM, 0.0, 0.0]).max() < 1e-9
+    assert np.abs(blocks.extra[[0, -1]] - [[0.4, 0.2], [0.4, 0.21]]).max() < 1e-12
 
 
 def test_the_tool_moves_along_its_axis_by_hand_while_both_joints_rest():

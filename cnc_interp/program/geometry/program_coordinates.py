@@ -36,7 +36,7 @@ class ProgramCoordinates:
         Parameters
         ----------
         positions : ndarray, shape (n,)
-            Axis positions [m, rad]; of an arm, those of its tool tip, (3,).
+            Axis positions [m, rad]; of an arm, its tool tip and its further joints.
         tip, axis : ndarray, shape (3,)
             Tool tip [m] and unit tool axis [-] there, in the workpiece frame.
         zero : ndarray, shape (3,)

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 #: Colours of axes in figures.
 COLOURS = '#2a6fb0', '#c8553d', '#3f8f5b', '#8b5fb0', '#b8902b', '#5b6b78'
+LONGEST_NAME = 256  #: A longer text is no path [characters].
 DEGREE = 5  #: Degree at which q_ss and q_sss are continuous, as jerk limits require.
 
 
@@ -154,6 +155,12 @@ class Plan:
         return figure
 
 
+def _names_a_file(text: str) -> bool:
+    """Tell a path from a program; with a suffix of letters it is one, even if there is no file."""
+    short = '\n' not in text and len(text) < LONGEST_NAME
+    return short and (Path(text).is_file() or Path(text).suffix[1:].isalpha())
+
+
 def plan(
     program: str | Path | Program, machine: str | Path | Machine = DEFAULT_MACHINE, **settings: Any
 ) -> Plan:
@@ -187,9 +194,7 @@ def plan(
         hint = f'; did you mean {near[0]}?' if near else '; help(cnc_interp.Settings) has all'
         raise TypeError(f'{unknown[0]} is no setting{hint}')
     chosen, geometry = Settings(**settings), Transform.of(machine)
-    if isinstance(program, Path) or (
-        isinstance(program, str) and '\n' not in program and Path(program).is_file()
-    ):
+    if isinstance(program, Path) or (isinstance(program, str) and _names_a_file(program)):
         program = read_program(Path(program), geometry, chosen)
     elif isinstance(program, str):
         program = read_text(program, 'text', geometry, chosen)

@@ -49,4 +49,5 @@ if __name__ == '__main__':
         print(f'{name}: {result.ratio:.2f} times the optimum, {result.use:.0%} of a limit')
     plt.barh(names, [result.ratio for result in results])
     plt.xlabel('cycle time / optimum')
+    plt.tight_layout()
     plt.show()

@@ -1,6 +1,6 @@
 """Solve the jerk-limited feed problem slowly and clearly, and compare with the product.
 
-    python examples/reference_solver.py
+    python examples/14_reference_solver.py
 
 plans ``five_blocks.ngc`` with about 100 lines of NumPy and SciPy. The numbers in parentheses are
 those of the equations in docs/how_it_works/feedrate.md. The problem is the product's, the method

@@ -92,7 +92,10 @@ class Follower:
             by_hand = rows[:, BLOCK] == 0
             count = len(rows) if by_hand.all() else int(np.argmin(by_hand))
             if not count:
-                self._fault('was left, but continued without a new plan', rows[0])
+                text = (
+                    'the axes were moved by hand, and the old plan continued instead of a new one'
+                )
+                self._fault(text, rows[0])
             return count
         if self._tail is not None:
             found, self._tail = self._tail, self._tail[len(rows) :]

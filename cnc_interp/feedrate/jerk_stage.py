@@ -1,9 +1,9 @@
 """The jerk stage: plans one part of the path within all limits and checks it between the nodes.
 
-The interior point method applies the limits only at the two ends of each cell. Its law is then
-evaluated on the true curve at several instants of every cell. Where a limit is exceeded inside,
-the limit of the cell falls by the excess, and the part is solved again, or only the cells around
-few such ones. A law is accepted only if it keeps every limit at all these instants.
+The interior point method applies the limits only at the two ends of each cell. Then the use of
+each limit on the true curve is bounded at all instants of every cell. Where a bound exceeds a
+limit, the limit of the cell falls by the excess, and the part is solved again, or only the cells
+around few such ones. A law is accepted only if its bounds keep every limit.
 
 A law must leave something to brake with, too. On a circle of radius r at speed v, the jerk of an
 axis, q_s s_dddot + 3 q_ss s_dot s_ddot + q_sss s_dot^3 [B2013, Eq. 8], is v^3/r^2 by its last term

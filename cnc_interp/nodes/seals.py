@@ -148,7 +148,7 @@ def hear(
     tell: Callable[[str], object] = str,
     about: str = '',
 ) -> Ear:
-    """Take the messages of the node whose topic it is, those with a text in them."""
+    """Take messages of the node that owns the topic, if they contain the text ``about``."""
     read = partial(deserialize_message, message_type=kind)
     heard = Heard(kind, topic, profile, about.encode())
     return Ear(node, heard, take, diagnostics, tell, read=read)

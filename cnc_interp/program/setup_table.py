@@ -118,7 +118,7 @@ def offset_changes(
         raise InterpError(f'{name}: nothing to change; give an axis and its value, such as X 10')
     if name == 'G92':
         if activate:
-            raise InterpError('G92 is added to the active work offset; it cannot be one')
+            raise InterpError('G92 cannot be the active work offset; it is added to that')
         amounts = {**({} if clear else setup.g92), **values}
         return [SetupChange('g92', amounts), SetupChange('g92_on', bool(amounts))]
     if name not in WORK_OFFSETS:

@@ -78,6 +78,9 @@ class Proof:
         text = json.dumps({'ok': self.ok, **asdict(self)})
         return json.loads(text, parse_constant=lambda _: None)
 
+    def __str__(self) -> str:
+        return self.text()
+
     def text(self) -> str:
         lines = [row.text() for row in self.given]
         lines += [

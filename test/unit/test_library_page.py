@@ -61,3 +61,7 @@ def test_the_first_call_takes_names_and_paths_and_says_what_is_wrong(tmp_path):
     ):
         with pytest.raises(TypeError, match=told):
             cnc_interp.plan(*words, **wrong)
+    for words, told in ('missing.ngc', 'missing.ngc'), ('G1 X10 F3000' + ' ' * 300, 'no motion'):
+        with pytest.raises(cnc_interp.InterpError, match=told):
+            cnc_interp.plan(words)
+    assert str(plan.check()).endswith('proven')

@@ -136,7 +136,7 @@ def write_setup(at: Execution, _: str, words: BlockWords) -> None:
 
 
 def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> None:
-    """Process G10 L1 (length of a tool), L10, L11 (what Z reads with it here, or in G59.3)."""
+    """Process G10 L1, the length of a tool, and L10, L11, which set it by what Z reads here."""
     mover, frames, values = at.mover, at.mover.frames, words.values
     at.demand(
         number in range(1, MOST_TOOL + 1),

@@ -78,13 +78,13 @@ class Follower:
     def _close(self) -> None:
         """Check that the preceding plan was left at rest, after a complete stop tail."""
         if not self._lost and (not self._rests or (self._tail is not None and len(self._tail))):
-            self._fault('was left in motion')
+            self._fault('it was left in motion')
 
     def close(self, cut: bool, at_rest: bool = False) -> None:
         if at_rest or not cut:
             self._close()
         if not (cut or self._lost or self.ended):
-            self._fault('did not reach the end that was sent')
+            self._fault('it did not reach the end that was sent')
 
     def _step(self, rows: FloatArray) -> int:
         """Return how many setpoints were matched; 0 if another alternative is tried next."""
@@ -92,10 +92,7 @@ class Follower:
             by_hand = rows[:, BLOCK] == 0
             count = len(rows) if by_hand.all() else int(np.argmin(by_hand))
             if not count:
-                text = (
-                    'the axes were moved by hand, and the old plan continued instead of a new one'
-                )
-                self._fault(text, rows[0])
+                self._fault('after motion by hand it continued; a new plan must follow', rows[0])
             return count
         if self._tail is not None:
             found, self._tail = self._tail, self._tail[len(rows) :]
@@ -128,7 +125,7 @@ class Follower:
 
     def _fault(self, text: str, row: FloatArray | None = None) -> None:
         where = '' if row is None else f' (line {row[LINE]:.0f}, executed as number {self.count})'
-        self.faults.append(f'plan {self.run_id.plan} {text}{where}')
+        self.faults.append(f'plan {self.run_id.plan}: {text}{where}')
         self._lost = True
 
 

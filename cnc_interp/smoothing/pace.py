@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.core import FloatArray
+from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.program.blocks import WITHIN_MOTION, Blocks
 from cnc_interp.settings.options import Settings
@@ -12,7 +12,7 @@ from cnc_interp.settings.options import Settings
 #: A turn counts as the mean over this length before and behind the middle of a block [m], in
 #: which at most so many blocks are considered on each side.
 REACH, NEAR = 1e-3, 8
-HELD = NEAR + 1  #: Rows that wait for those behind them.
+HELD = NEAR + 1  #: Rows that wait for those behind them, unless the tool rests between.
 KEPT = HELD + NEAR + 2  #: Rows that a pacer keeps: these, and those before them.
 
 
@@ -41,18 +41,22 @@ def rise_root(v: FloatArray, length: FloatArray, jerk: float) -> FloatArray:
     return np.asarray(2.0 * a * np.sinh(np.arcsinh(0.5 * q / a**3) / 3.0))
 
 
-def mean_turns(length: FloatArray, turn: FloatArray) -> FloatArray:
+def mean_turns(length: FloatArray, turn: FloatArray, stop: BoolArray) -> FloatArray:
     """Return the turns of blocks if the path near each were bent evenly, all (n,) [m, rad].
 
     A recorded control slows down for ten chords of a slot's end half as much as for the same
-    chords in a full circle: it judges the path over some length, not vertex by vertex.
+    chords in a full circle: it judges the path over some length, not vertex by vertex. This
+    length ends where the tool rests; ``stop`` (n,): at the end of the block.
     """
     bent, way, n = turn.copy(), length.copy(), len(length)
     lengths, turns = (np.pad(one, NEAR) for one in (length, turn))
+    stops = np.pad(stop, NEAR)
     for side in (-1, 1):
         left = REACH - 0.5 * length
         for k in range(1, NEAR + 1):
             near = slice(NEAR + side * k, NEAR + side * k + n)
+            between = NEAR + side * k - (side > 0)
+            left = np.where(stops[between : between + n], 0.0, left)
             part = np.clip(left, 0.0, lengths[near])
             bent += turns[near] * part / np.maximum(lengths[near], 1e-12)
             way += part
@@ -71,11 +75,12 @@ class Pacer:
 
     def push(self, blocks: Blocks) -> Blocks:
         rows = blocks if self._kept is None else Blocks.concatenate([self._kept, blocks])
-        end = max(self._sent, len(rows) - HELD)
-        paced = self._paced(rows)[self._sent : end]
+        paced, sent = self._paced(rows), self._sent
+        rests = np.flatnonzero(paced.exact_stop[:-1]) + 1
+        end = max(sent, len(rows) - HELD, *rests[-1:].tolist())
         self._kept = rows[-KEPT:]
         self._sent = end - len(rows) + len(self._kept)
-        return paced
+        return paced[sent:end]
 
     def finish(self) -> Blocks | None:
         return None if self._kept is None else self._paced(self._kept)[self._sent :]
@@ -100,7 +105,8 @@ class Pacer:
         slow &= ~rows.rapid[own] & ~rows.on_spline[own]
         slow &= np.isfinite(rows.feedrate[own])
         k, feed = np.flatnonzero(slow), rows.feedrate.copy()
-        turn = mean_turns(length, 0.5 * (np.append(0.0, turn) + np.append(turn, 0.0)))[k + 1]
+        turn = 0.5 * (np.append(0.0, turn) + np.append(turn, 0.0))
+        turn = mean_turns(length, turn, rows.exact_stop[1:])[k + 1]
         feed[k + 2] = np.minimum(
             feed[k + 2], pace_limits(self._pace, length[k + 1], turn, feed[k + 2])
         )

@@ -89,10 +89,19 @@ def test_the_blocks_of_a_loop_that_repeats_one_line_are_no_arc():
 @pytest.mark.parametrize('size', [1, 2, 3, 7])
 def test_the_feeds_do_not_depend_on_how_the_blocks_arrive(size):
     blocks = Blocks.concatenate([polygon(5.0, 0.5), polygon(12.0, 0.2)])
+    blocks = replace(blocks, exact_stop=blocks.exact_stop | (np.arange(len(blocks)) % 17 == 9))
     whole, parts = paced(blocks), paced(blocks, size=size)
     assert len(parts) == len(blocks)
     assert np.array_equal(whole.feedrate, parts.feedrate)
     assert np.array_equal(whole.exact_stop, parts.exact_stop)
+
+
+def test_rows_wait_for_no_more_than_one_row_behind_a_rest():
+    """So a program in single block, where every line ends at rest, is not held back."""
+    blocks = polygon(12.0, 0.2)
+    resting = replace(blocks, exact_stop=np.ones(len(blocks), dtype=bool))
+    assert len(Pacer(PACE, Settings()).push(resting)) == len(blocks) - 1
+    assert len(Pacer(PACE, Settings()).push(blocks)) < len(blocks) - 1
 
 
 def test_the_tool_rests_where_a_rapid_begins_or_ends():

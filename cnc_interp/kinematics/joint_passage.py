@@ -23,6 +23,7 @@ from cnc_interp.kinematics.sampling import guided_grid
 from cnc_interp.kinematics.segment_axes import Place, SegmentRows, Stands
 from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
+from cnc_interp.machine_model.machine import arm_of
 from cnc_interp.smoothing.segments import PathSegments
 
 NEAR = 0.05  #: A stretch is tried where the smallest pivot of the rates is below this [-].
@@ -62,7 +63,7 @@ class JointPassages(Passages[PathAhead]):
         super().__init__()
         self._chain, self._height = transform, height
         self._q, self._branch = np.zeros(len(transform.machine.axis_names)), 0.0
-        self._far = FAR * transform.reach
+        self._far = FAR * arm_of(transform.machine).reach
         self._spins = spins
         self._lost = False  # what follows is refused
 

@@ -18,7 +18,7 @@ from cnc_interp.machine.slides import THERE, Slides
 from cnc_interp.machine_model.chain_kernels import NO_JOINT, joint_jets
 from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Machine, arm_of
 from cnc_interp.machine_model.transform_port import Transform, tool_line
 
 STEPS = 200  #: Places on each side at which the curve is known before the motion.
@@ -58,7 +58,7 @@ class ArmSlide(Slides):
         limits = chain.machine.limits.lowest
         chain = chain.spun(chain.spin_at(stands))
         tip, axis = (rows[0] for rows in chain.forward(stands[None]))
-        step = chain.reach / STEPS
+        step = arm_of(chain.machine).reach / STEPS
         sense, (low, high) = chain.sense(stands), chain.machine.travel.T
         here, _ = _jets(chain, tip, axis, 0.0, stands, sense)
         ways = {0.0: here}

@@ -61,6 +61,12 @@ class Arm:
     spin: float  #: Turn of the tool about its axis [rad].
     guessed: tuple[str, ...] = field(default_factory=tuple)  #: Names of limits that are guessed.
 
+    @property
+    def reach(self) -> float:
+        """Length of the stretched arm [m]."""
+        points = np.vstack([self.lines[:ARM, 3:], self.tool[0]])
+        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
 
 def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, ...]]:
     """Read the machine file of an arm; the files that it names are in ``folder``."""

@@ -40,8 +40,7 @@ class JointChain:
         packed[n + 1, :3] = arm.tool[2]
         packed[kernel.BESIDE :, :6] = arm.lines[n:]
         packed[kernel.BESIDE :, kernel.SLIDES] = machine.is_linear[n:]
-        points = np.vstack([arm.lines[:n, 3:], arm.tool[0]])
-        packed[n + 1, kernel.REACH] = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        packed[n + 1, kernel.REACH] = arm.reach
         packed[n + 1, kernel.SPIN] = arm.spin
         return JointChain(machine, packed)
 
@@ -56,11 +55,6 @@ class JointChain:
     @property
     def spin(self) -> float:
         return float(self.packed[ARM + 1, kernel.SPIN])
-
-    @property
-    def reach(self) -> float:
-        """Length of the stretched arm [m]."""
-        return float(self.packed[ARM + 1, kernel.REACH])
 
     def spun(self, spin: float) -> JointChain:
         packed = self.packed.copy()

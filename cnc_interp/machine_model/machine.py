@@ -34,6 +34,7 @@ from cnc_interp.machine_model.signals import Signals, signals
 #: the largest velocity and acceleration [s].
 LIKELY = {True: (200.0, 240e3), False: (100.0, 1e6)}
 QUICKEST, LONGEST = 1e-4, 20.0
+USUAL_SIZE = 1.0  #: Size of the machines for which lengths are chosen [m].
 LOCKED = 1e-6  #: Travel of a locked axis [rad].
 
 
@@ -203,6 +204,11 @@ class Machine:
 
     def axis(self, name: str) -> Axis:
         return self.axes[self.axis_names.index(name)]
+
+    @property
+    def scale(self) -> float:
+        """Size of an arm over that of machines for which lengths were chosen, at least 1 [-]."""
+        return 1.0 if self.arm is None else max(1.0, self.arm.reach / USUAL_SIZE)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ class MachineTraits:
     geometry: FiveAxis | None = None
     max_jerk: FloatArray | None = None  #: (5 + k,): Jerk limits of all axes.
     turns: bool = False  #: Whether the tool of a machine without a pole can turn.
+    scale: float = 1.0  #: As of ``Machine``: longer blocks of a large arm become curves [-].
     pace: BlockPace | None = None  #: Pace of its control on short blocks.
 
     def keeps_tool(self, axis: FloatArray) -> bool:
@@ -54,6 +55,7 @@ def traits_of(transform: Transform) -> MachineTraits:
         geometry=five_axis,
         max_jerk=machine.max_jerk if machine.has_rotary else None,
         turns=not machine.is_linear.all(),
+        scale=machine.scale,
         pace=machine.pace,
     )
 

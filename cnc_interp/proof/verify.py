@@ -199,6 +199,7 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
     wrongs, wrong_at, where = 0, -1, ''
     told = plan.settings.get('longest_block')
     longest = float(told) if isinstance(told, int | float) else LONGEST_BLOCK
+    longest *= machine.scale
     for a, b in spans(len(time)):
         row, low, high, position = plan.block[a:b], order.low[a:b], order.high[a:b], plan.position
         early, late = row < low, row > high

@@ -122,7 +122,11 @@ class Settings:
         True, SMOOTHING, 'make curves of dense blocks, or round every corner'
     )
     longest_block: float = kinds.number(
-        5.0 * MM, kinds.LENGTH, LENGTHS, SMOOTHING, 'longer blocks stay straight lines'
+        5.0 * MM,
+        kinds.LENGTH,
+        LENGTHS,
+        SMOOTHING,
+        'longer blocks stay straight lines; for an arm times its reach in metres',
     )
     corner_angle: float = kinds.number(
         35.0 * DEG,

@@ -27,6 +27,7 @@ from cnc_interp.run.path_chain import PathChain, segments_of
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.run.spin_choice import SpinSearch
 from cnc_interp.settings.options import Settings
+from cnc_interp.smoothing.segments import SPLINE
 
 ARMS = ('ur10e', 'm710ic_50')
 PART = """UNITS/MM
@@ -379,6 +380,19 @@ def test_spin_auto_is_faster_than_the_one_of_the_machine_file(tmp_path, capsys):
         assert main(['check', str(out)]) == 0
         times[spin] = json.loads((out / 'summary.json').read_text())['cycle_time']
     assert times['auto'] < times['fixed']
+
+
+def test_blocks_become_curves_up_to_a_length_that_grows_with_the_reach(tmp_path):
+    turn = np.linspace(0.0, 6.2, 90)  # chords of 7 mm, longer than those of machines
+    places = zip(100.0 * np.cos(turn), 100.0 * np.sin(turn), strict=True)
+    lines = [f'GOTO/{x:.5f},{y:.5f},0,0,0,1' for x, y in places]
+    text = '\n'.join(['FEDRAT/6000', *lines, 'FINI'])
+    for longest, curves in ((5.0 * MM, True), (3.0 * MM, False)):
+        planned(text, tmp_path, Machine.load('ur10e'), longest_block=longest)
+        assert (np.load(tmp_path / 'out/segments.npz')['kind'] == SPLINE).any() == curves
+        proof = verify_plan(tmp_path / 'out', Machine.load('ur10e'))
+        assert proof.ok, proof.failures
+    assert Machine.load('xyzac').scale == 1.0
 
 
 def test_the_library_plans_as_the_command_does(tmp_path):

@@ -182,7 +182,8 @@ class Moves:
         (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
         way = np.linalg.norm(tip - tip_from, axis=1)
         turn = settings.flank_height * angle_between(o_from, o)
-        return np.asarray((way <= settings.longest_block) & (way > SLOW_TIP * turn))
+        longest = self._geometry.machine.scale * settings.longest_block
+        return np.asarray((way <= longest) & (way > SLOW_TIP * turn))
 
     def _travels(self) -> BoolArray:
         gone = np.abs(self.rows[:, col.POINT] - self._start).max(axis=1)

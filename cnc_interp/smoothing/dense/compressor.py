@@ -44,7 +44,7 @@ class Compressor:
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
         self._machine, self._choice = machine, choice
-        self._builder = SkeletonBuilder(settings, row, joined)
+        self._builder = SkeletonBuilder(settings, machine.scale, row, joined)
         self._corners = CornerSearch(settings.corner_angle)
         self._first = row
         self._at = 0  # all blocks before this vertex have been sent

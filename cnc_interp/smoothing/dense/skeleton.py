@@ -94,8 +94,8 @@ class Skeleton:
 
 
 class SkeletonBuilder:
-    def __init__(self, settings: Settings, row: int, joined: bool):
-        self._longest_block, self._height = settings.longest_block, settings.flank_height
+    def __init__(self, settings: Settings, scale: float, row: int, joined: bool):
+        self._longest_block, self._height = scale * settings.longest_block, settings.flank_height
         self._raw: Blocks | None = None  # blocks from the last vertex of the skeleton on
         self._row = row  # program row of the first of them
         self._joined = joined

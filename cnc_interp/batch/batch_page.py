@@ -133,8 +133,12 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
         _time_section(rows),
         html.section(
             'Plans',
-            'Press a heading to sort. Each use is the largest of all axes and places, as proven.'
-            + (f' The first {MOST_ROWS:,}; table.csv has all.' if len(rows) > MOST_ROWS else ''),
+            'Press a heading to sort. Each use is the largest one proven of any axis at any place.'
+            + (
+                f' Only {MOST_ROWS:,} rows are shown; table.csv has all.'
+                if len(rows) > MOST_ROWS
+                else ''
+            ),
             f'<input id="find" placeholder="find">{_table(rows[:MOST_ROWS], shown)}',
         ),
     ]

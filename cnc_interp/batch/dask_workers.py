@@ -80,7 +80,7 @@ class DaskWorkers:
 
 
 def _lost() -> InterpError:
-    return InterpError('the scheduler was lost; start it and the batch again, which continues')
+    return InterpError('the scheduler was lost; start it again, then start the batch to continue')
 
 
 def _end_of(future: Future, number: int) -> processes.EndedCall[Any]:

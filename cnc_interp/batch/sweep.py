@@ -294,21 +294,25 @@ def write_page(found: dict[Point, Found], file: Path) -> None:
         '</p>',
         html.section(
             'Time and accuracy',
-            'All points that give a motion. No other point is at least as good in time, scallop '
-            'and error as those on the line.',
+            'The figure shows all points that give a motion. For a point on the line, no other '
+            'point is at least as good in time, scallop and error at once.',
             html.drawing(_scatter(found, best, start)),
         ),
         html.section(
             'The best',
-            'At a limit: share of the time in which an axis, or the feed, is at its limit. These '
-            'limits keep the motion from being faster.',
+            'At a limit: share of the time in which an axis, or the feed, is at its limit, so '
+            'that the motion cannot be faster.',
             _table(found, best, start),
         ),
     ]
     for name in names:
         drawn = html.drawing(_over(found, name))
         body.append(
-            html.section(f'--{escape(name)}', 'Each point over its value of this option.', drawn)
+            html.section(
+                f'--{escape(name)}',
+                'The figure shows each point at its value of this option.',
+                drawn,
+            )
         )
     body.append(_faults(found))
     html.write(file, 'sweep', '\n'.join(body), LOCAL_STYLE)

@@ -1,7 +1,8 @@
-"""5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes.
+"""5-axis iso-scallop passes along parallel planes [TL2008]: their options, and all passes.
 
-Strips share their border, so errors of half widths do not decay. The recursion starts with a
-constant half width. It restarts, with a small overlap, if a pass cannot be found or strays.
+Neighbouring strips share a border, so an error of a half width is passed on undiminished. The
+recursion starts with a constant half width. It restarts, with a small overlap, if a pass cannot be
+found or strays.
 """
 
 from __future__ import annotations
@@ -177,9 +178,10 @@ class PassRecursion:
     ) -> Pass:
         """Make a pass whose strip is narrower at some places, on a plane that is close enough.
 
-        The tilt is raised where the heel would enter the surface, and stays at a limit where no
-        other fits. The strip still reaches the scallops of the previous pass, or the border. If
-        the plane must come much closer, the mill turns: the heel then lies beside the hollow.
+        Where the heel would enter the surface, the tilt is increased. Where no tilt within the
+        limits fits, it stays at a limit. The strip still reaches the scallops of the previous
+        pass, or the border. If the plane would have to be much closer, the mill is yawed, so that
+        its heel lies beside the hollow.
         """
         start = self.planes.span[0] if before is None else before.plane
         own = self.options.yaw
@@ -228,7 +230,7 @@ class PassRecursion:
         return None
 
     def room(self, before: Pass | None, curve: GuidingCurve, angles: Angles) -> float:
-        """Return the largest distance from the previous pass that leaves no ridge between [m]."""
+        """Return the largest distance from the previous pass without a ridge in between [m]."""
         if before is None:
             reach = self.reach(curve, angles, -1.0)
             kept = kept_places(curve, angles.s, reach, self.options.overrun)
@@ -355,11 +357,11 @@ class PassRecursion:
         wide, narrow = (before.reach + self.left_reach(curve, before, x) for x in (low, high))
         found = f'{fit.tilt[i] / DEG:.2f} deg' if fit.found[i] else 'none'
         return (
-            f'{where}: the tilt would have to be {found}, the limits are {low / DEG:g} to '
-            f'{high / DEG:g} deg',
-            f'a plane distance of {distance / MM:.3f} mm does not fit, there '
-            f'it can be {narrow[i] / MM:.3f} to {wide[i] / MM:.3f} mm, along the whole pass '
-            f'{np.nanmax(narrow) / MM:.3f} to {np.nanmin(wide) / MM:.3f} mm',
+            f'{where}: the tilt would have to be {found}, but the limits are {low / DEG:g} '
+            f'to {high / DEG:g} deg',
+            f'a plane distance of {distance / MM:.3f} mm does not fit: it must be '
+            f'{narrow[i] / MM:.3f} to {wide[i] / MM:.3f} mm there, and for the '
+            f'whole pass {np.nanmax(narrow) / MM:.3f} to {np.nanmin(wide) / MM:.3f} mm',
         )
 
 

@@ -1,4 +1,4 @@
-"""Needles and the motion that cuts them; equal patches give the same places, bit for bit."""
+"""Needles and the motion that cuts them; the needles of equal patches agree bit for bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulated motions, of programs, of plans and of the machine; sections with scallops."""
+"""Motions to simulate, from programs, plans or the machine; and sections with scallops."""
 
 from dataclasses import dataclass
 

@@ -123,7 +123,7 @@ def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray
 def chord_error(
     tip: FloatArray, top: FloatArray, middle_tip: FloatArray, middle_top: FloatArray
 ) -> FloatArray:
-    """Return the distance of poses from linear blocks, at the same share for tip and top."""
+    """Return the distance of poses from linear blocks; tip and top are at the same share."""
     chord, chord_top = tip[:, 1] - tip[:, 0], top[:, 1] - top[:, 0]
     away = middle_tip - tip[:, 0]
     share = dot(away, chord) / np.maximum(dot(chord, chord), 1e-24)
@@ -171,8 +171,8 @@ def cut_back(
     if whole - milled < NOTICED:
         return parts, []
     left_out = (
-        f'{(whole - milled) / MM:.0f} of {whole / MM:.0f} mm of passes are left out: there the '
-        f'mill of {2.0 * (cutter.tool_radius + cutter.corner_radius) / MM:g} mm would enter other '
-        'faces of the part; with another --direction it may reach more'
+        f'{(whole - milled) / MM:.0f} of {whole / MM:.0f} mm of passes are left out, because '
+        f'the mill of {2.0 * (cutter.tool_radius + cutter.corner_radius) / MM:g} mm would enter '
+        'other faces of the part there; it may reach more with another --direction'
     )
     return parts, [left_out]

@@ -310,7 +310,7 @@ def _neighbours(
         except Exception as fault:  # bindings of OpenCASCADE raise anything
             found.append(np.zeros((0, 3)))
             note(
-                f'{path}: the mill is not tested against face {number}, it has no points: '
+                f'{path}: the mill is not tested against face {number}, which has no points: '
                 f'{" ".join(str(fault).split())[:100]}'
             )
     counts = [len(points) for points in found]

@@ -63,14 +63,14 @@ class Strategy:
     figures: Callable[[Any], list[tuple[str, str, Any]]] = lambda paths: []
 
     def choices(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Return its own options by name, in SI."""
+        """Return the options of this strategy by name, in SI."""
         names = {option: option.name.replace('-', '_') for option in self.options}
         return {name: option.value(options[name]) for option, name in names.items()}
 
 
 TILT = StrategyOption(
     'tilt',
-    'tilt of a constant start, and the smallest for the largest stepover (3 deg)',
+    'tilt of a first pass with constant tilt, smallest tilt at the largest stepover (3 deg)',
     3.0,
     'DEG',
     DEG,
@@ -116,8 +116,8 @@ _ALL = (
         (
             StrategyOption(
                 'stepover',
-                'distance of the guiding planes; without it the largest that --tilt allows, pass '
-                'by pass',
+                'distance of the guiding planes; by default, for each pass, the largest that '
+                '--tilt allows',
                 metavar='MM',
                 unit=MM,
                 positive=True,
@@ -146,7 +146,7 @@ _ALL = (
             ),
             StrategyOption(
                 'no-restart',
-                'never start again; where the recursion of the paper ends, report an error',
+                'never restart; report an error where the recursion of the paper ends',
                 False,
             ),
             StrategyOption(

@@ -72,7 +72,7 @@ class SurfaceError(InterpError):
 
 
 def demand(holds: object, text: str) -> None:
-    """Raise SurfaceError unless what a surface needs holds."""
+    """Raise SurfaceError unless a condition on the surface holds."""
     if not holds:
         raise SurfaceError(text)
 

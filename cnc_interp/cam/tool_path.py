@@ -79,7 +79,7 @@ def link(
     steps: list[Link | SplinePass] = []
 
     def over(tip: FloatArray, axis: FloatArray) -> FloatArray:
-        """Return the tip on the safe level: lifted along its axis, the mill meets nothing new."""
+        """Return the tip on the safe level, to which the mill rises along its axis unhindered."""
         rise = float(axis @ up)
         refuse_if(
             rise < UPRIGHT,

@@ -120,7 +120,7 @@ class Follower:
 
     def _astray(self, row: FloatArray) -> None:
         missing = self._sent.at(self.run_id, self._number) is None
-        text = 'is not in the record of what was sent' if missing else 'was not sent so'
+        text = 'was not recorded as sent' if missing else 'differs from the setpoint sent'
         self._fault(f'setpoint {self._number} was executed, but {text}', row)
 
     def _fault(self, text: str, row: FloatArray | None = None) -> None:
@@ -206,8 +206,8 @@ class ToldStates:
                 state.commanded_positions, self._errors.nominal(row[None, :axes])[0]
             )
             if not same and not self._wrong:
-                text = f'a machine_state after {state.samples} setpoints does not say where'
-                self._wrong.append(f'{text} the axes were commanded to')
+                text = f'the machine_state after {state.samples} setpoints disagrees with'
+                self._wrong.append(f'{text} the executed setpoint')
 
     def compare_overrides(self, count: int, rows: FloatArray, plan: OperatorSettings) -> None:
         """Check that the plan follows overrides that were reported shortly before."""
@@ -288,8 +288,8 @@ class FeedbackRecord:
     def faults(self) -> list[str]:
         lacks = f'the record lacks axis_feedback of executed setpoints from {self._missing} on'
         return ([lacks] if self._missing >= 0 else []) + [
-            f'line {contact.line_number}: the axes were never where the probe is said to have '
-            f'answered ({distance:.3g} m or rad beside their way)'
+            f'line {contact.line_number}: the axes never passed the recorded contact of the '
+            f'probe ({distance:.3g} m or rad away from their path)'
             for contact, distance in self._contacts
             if not distance <= AT_CONTACT
         ]
@@ -317,7 +317,9 @@ def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[s
         missing = set(range(len(sent))) - {f.number for f in functions}
         if wrong or (missing and not run.cut):
             number = wrong[0] if wrong else min(missing)
-            faults.append(f'function {number} is not among the {topic} as it is among the blocks')
+            faults.append(
+                f'function {number} of the blocks is missing or different in the {topic}'
+            )
     words = machine.signals.words
     if FOLLOWS in words:
         first = words[FOLLOWS].start
@@ -325,7 +327,7 @@ def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[s
         lacking = begun - {m.sequence for m in run.followed}
         if lacking and not run.cut:
             line = run.blocks[min(lacking)].line_number
-            faults.append(f'the record has no followed_spindle for line {line}: nothing proves it')
+            faults.append(f'line {line} is not proven: the record lacks its followed_spindle')
     return faults
 
 

@@ -158,7 +158,7 @@ class LineHistory:
             self._lines.appendleft(line)
 
     def at(self, age: int) -> tuple[int, str]:
-        """Return the line of an age, and the age after limiting it; an empty line for -1."""
+        """Return the line of an age, and this age within the history; an empty line for -1."""
         age = max(-1, min(age, len(self._lines) - 1))
         return age, self._lines[age] if age >= 0 else ''
 

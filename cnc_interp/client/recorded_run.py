@@ -205,7 +205,7 @@ class RecordedRun:
             plain = copy.copy(done)
             plain.sample = 0  # what was sent has none
             if done.number >= len(sent) or sent[done.number] != plain:
-                raise InterpError(f'function {done.number} was executed, but not sent so')
+                raise InterpError(f'function {done.number} differs from what was sent')
             if sample[done.number] != MISSING:
                 raise InterpError(f'function {done.number} was executed twice')
             sample[done.number] = program[min(done.sample, len(program) - 1)]

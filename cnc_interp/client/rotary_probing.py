@@ -99,7 +99,7 @@ def fit_rotary_centres(
     seen = int(np.linalg.matrix_rank(inverse, tol=0.0 if not inverse.any() else None))
     left = gaps(offsets, ball) - pretravel
     if seen < LEAST or len(q) <= seen + 4:
-        raise InterpError('the touches do not determine both rotary axes; turn them further')
+        raise InterpError('the touches do not determine both rotary axes; turn the axes further')
     noise = np.sqrt(left @ left / (len(q) - seen - 4))
     spread = noise * np.linalg.norm(inverse, axis=1).reshape(5, 3)
     found = replace(machine, offsets=offsets[:3], tool_offset=offsets[3:])
@@ -159,7 +159,7 @@ class _Toucher:
         assert table is not None
         zero, turn = work_zero(table, self._setup.setup, self._setup.setup.offset)
         if turn:
-            raise InterpError('the active work offset is turned; use one that is not')
+            raise InterpError('the active work offset is rotated; use an offset without rotation')
         return list(np.round((tip - zero) / MM, 6))
 
     def touch(self, line: str) -> None:
@@ -170,7 +170,7 @@ class _Toucher:
         while len(self._contacts) < before + ANSWERS and time.monotonic() < until:
             self._client.serve()
         if len(self._contacts) != before + ANSWERS:
-            raise InterpError(f'{line}: the places of the probe did not arrive; try again')
+            raise InterpError(f'{line}: the positions of the probe did not arrive; try again')
         self.touched.append(np.array(self._contacts[before + SLOW].positions))
 
 

@@ -23,8 +23,8 @@ class SceneError(InterpError):
 def triangles_of(file: Path, unit: float, chord: float) -> FloatArray:
     """Return the triangles of a closed mesh, (m, 3, 3) [m]; SceneError says what is wrong.
 
-    ``unit``: length of one unit of an STL file [m]; STEP files have theirs. ``chord``: largest
-    distance of the triangles from curved faces of a STEP file [m].
+    ``unit``: length of one unit of an STL file [m]; STEP files contain their unit. ``chord``:
+    largest distance of the triangles from curved faces of a STEP file [m].
     """
     if not file.is_file():
         raise SceneError(f'{file}: no such file; the path counts from the scene file')

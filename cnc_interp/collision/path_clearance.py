@@ -132,7 +132,7 @@ class PathClearance:
         list of Hit
             First contacts of each line and pair of bodies, in order.
         Certificates
-            What proves all else, and the hits.
+            The proof for the rest of the part, and the hits.
 
         """
         lines, route = self._route(path, line_of)
@@ -326,7 +326,7 @@ class PathClearance:
         at = np.searchsorted(called, rows, 'right') - 1
         tool = np.where(at >= 0, np.append(numbers, 0)[at], self.scene.first_tool)
         if len(self.scene.tools) > 1 and (tool == 0).any() and not len(called):
-            text = 'no tool is called before the first motion; add the one in the spindle as'
+            text = 'no tool is called before the first motion; name the one in the spindle:'
             raise SceneError(f'{self.scene.source}: {text} tool: NUMBER')
         return np.asarray(tool)
 
@@ -390,6 +390,7 @@ def certificates_of(found: Found) -> Certificates:
 def touching_text(scene: Scene, hit: Hit) -> str:
     one, other = hit.bodies
     return (
-        f'{scene.source}: {one} and {other} are too near before anything moves '
-        f'({hit.short / MM:.3g} mm short); move one or the axes, or add [{one}, {other}] to ignore'
+        f'{scene.source}: {one} and {other} are too close before anything moves '
+        f'({hit.short / MM:.3g} mm short); move one of them or the axes, or add '
+        f'[{one}, {other}] to ignore'
     )

@@ -39,7 +39,7 @@ class Ini:
         return [value for name, value in self.sections.get(section, ()) if name == key]
 
     def get(self, section: str, key: str, usual: str = '') -> str:
-        """Return a value without its comment; of repeated keys the first, as in LinuxCNC."""
+        """Return a value without its comment; as in LinuxCNC the first of repeated keys counts."""
         text = next(iter(self.all(section, key)), usual)
         return text.partition('#')[0].partition(';')[0].strip()
 

@@ -271,8 +271,9 @@ class _Conversion:
     ) -> None:
         """Move two motors by one axis; each stops at its switch while ``square`` is on.
 
-        The command of a motor is offset by the way for which it was stopped. Without power, the
-        second motor's command follows its own position, so that nothing jumps at power-on.
+        The command of a motor is offset by the distance that it missed while stopped. Without
+        power, the second motor's command follows its own position, so that nothing jumps at
+        power-on.
         """
         board, place, power = self.board, self.place, 'power-given.ok-out'
         switches = [f'joint.{k}.home-sw-in' for k in joints]
@@ -459,9 +460,7 @@ class _Conversion:
         if self.stop:
             end.append(f'net {STOP} => power-given.ok-in')
         else:
-            self.left_out.append(
-                'there is no contact by which the emergency stop takes the power away'
-            )
+            self.left_out.append('no contact lets the emergency stop switch the power off')
             end.append('setp power-given.ok-in 1')
         head = self.loads.lines(self.columns, self.threads)
         lines = [*head, *self.made, *self.board.settings, *end, '', 'start']

@@ -45,9 +45,9 @@ ELSEWHERE = {
     ('EMCIO', 'TOOL_CHANGE_AT_G30'): 'write G30 before M6',
     ('EMCIO', 'TOOL_CHANGE_WITH_SPINDLE_ON'): 'M6 stops the spindle (signals)',
     ('EMCIO', 'RANDOM_TOOLCHANGER'): 'tools have fixed pockets',
-    ('RS274NGC', 'REMAP'): 'of M6 write tool_change_macro, of others functions of signals',
+    ('RS274NGC', 'REMAP'): 'for M6 write tool_change_macro, for other codes functions of signals',
     ('RS274NGC', 'RS274NGC_STARTUP_CODE'): 'write its words into the program',
-    ('RS274NGC', 'USER_M_PATH'): 'M100 to M199 call no programs; write functions of signals',
+    ('RS274NGC', 'USER_M_PATH'): 'M100 to M199 cannot call programs; write functions of signals',
     ('TRAJ', 'MAX_LINEAR_ACCELERATION'): 'the limits are those of the axes',
     ('TRAJ', 'MAX_ACCELERATION'): 'the limits are those of the axes',
     ('TRAJ', 'MAX_ANGULAR_ACCELERATION'): 'the limits are those of the axes',
@@ -206,7 +206,7 @@ class _Axis:
         return _rounded(error) if error > 0.0 else None
 
     def errors(self) -> dict[str, list[float]] | None:
-        """Return the errors of its screw, from its COMP_FILE; None without a sound one."""
+        """Return the errors of its screw, from its COMP_FILE; None without a valid one."""
         motor, key = self.motors[0], f'COMP_FILE of {self.letter}'
         name = motor.get('COMP_FILE', '').partition('#')[0].strip()
         if not name:
@@ -280,7 +280,7 @@ def _rounded(value: float) -> float:
 
 
 def _tables(rotary: str, notes: list[str]) -> dict[str, Any]:
-    """Return the geometry of one or two tables; a single one goes with a locked head."""
+    """Return the geometry of one or two tables; a single table also gets a locked head axis."""
     rows: list[dict[str, Any]] = [
         {'name': each, 'about': ABOUT[each], 'carries': 'workpiece'} for each in rotary
     ]
@@ -289,13 +289,11 @@ def _tables(rotary: str, notes: list[str]) -> dict[str, Any]:
         other = 'B' if rotary == 'A' else 'A'
         rows.append({'name': other, 'about': ABOUT[other], 'carries': 'tool', 'locked': True})
         del offsets[1]
-        notes.append(
-            f'{rotary}: taken as a table; where its axis lies (primary_offset_mm) as 0 0 0'
-        )
+        notes.append(f'{rotary}: taken as a table whose axis is at 0 0 0 (primary_offset_mm)')
     else:
         notes.append(
-            f'{rotary}: taken as tables, {rotary[0]} carries {rotary[1]}; where their axes lie '
-            '(secondary_offset_mm, primary_offset_mm) as 0 0 0'
+            f'{rotary}: taken as tables, {rotary[0]} carries {rotary[1]}; their axes are at '
+            '0 0 0 (secondary_offset_mm, primary_offset_mm)'
         )
     places = {key: [0.0] * 3 for key in offsets}
     return {'primary': rows[0], 'secondary': rows[1], **places}

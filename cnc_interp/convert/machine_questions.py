@@ -48,8 +48,8 @@ def _put(content: dict[str, Any], place: tuple[str, ...], value: Any) -> dict[st
 def ask_machine(ask: Callable[[str], str], tell: Callable[[str], None]) -> dict[str, Any]:
     """Return the content of a machine file.
 
-    ``ask`` shows a question and returns the answer, '' for what is proposed; ``tell`` shows why an
-    answer is rejected.
+    ``ask`` shows a question and returns the answer, '' to accept the proposal; ``tell`` shows why
+    an answer is rejected.
     """
     for number, layout in enumerate(LAYOUTS, 1):
         tell(f'{number}  {layout}')

@@ -288,8 +288,9 @@ class SplineMoves:
     def losses(self) -> list[str]:
         rate, bend = self.rate_jump / DEG * MM, self.bend_jump / DEG * MM**2
         notes = [
-            'a control with u_top = u_bottom that does not connect curves sees jumps of the '
-            f'orientation rate up to {rate:.2g} deg/mm, of its derivative up to {bend:.2g} deg/mm2'
+            'on a control that uses u_top = u_bottom and does not connect curves, the '
+            f'orientation rate jumps by up to {rate:.2g} deg/mm, and its derivative by up to '
+            f'{bend:.2g} deg/mm2'
         ]
         corners = self.segments.kind == kinds.CORNER
         if corners.any() and self.segments.rotation.any():

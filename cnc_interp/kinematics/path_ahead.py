@@ -134,7 +134,7 @@ class PathAhead:
         )
 
     def led_between(self, left: PassageEnd, right: PassageEnd) -> tuple[slice, FloatArray]:
-        """Return the segments between two places, and guides with the septic between these."""
+        """Return the segments between two places, and guides that follow the septic there."""
         begin = left.segment + (left.u >= 1.0)
         end = right.segment + (right.u > 0.0)
         guides, length, coefficients = self.guides[begin:end].copy(), right.s - left.s, np.empty(8)

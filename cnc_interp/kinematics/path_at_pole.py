@@ -79,7 +79,7 @@ class PathAtPole(PathAhead):
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
     def may_change_sign(self, i: int, tilt: float) -> bool:
-        """Return whether the tilt may change its sign: travel is not shorter on the other side."""
+        """Return whether the tilt may change its sign: travel must reach as far on both sides."""
         transform = self.transform
         inner = 1 - transform.outer
         low, high = transform.machine.travel[3 + inner]

@@ -63,8 +63,8 @@ class PolePassages(Passages[PathAtPole]):
         low, high = (tilt.position_text(end) for end in tilt.travel)
         return min(self.forbidden), (
             f'the tool passes the pole, where {tilt.name} would change its sign; its travel of '
-            f'{low} to {high} deg reaches less far there, so {turn.name} makes half a turn '
-            f'instead and the motion slows down (passes: {len(self.forbidden)})'
+            f'{low} to {high} deg is shorter on that side, so {turn.name} makes half a turn '
+            f'instead, and the motion slows down (passes: {len(self.forbidden)})'
         )
 
     def _look_at(self, segments: PathSegments, motion: IntArray) -> PathAtPole:

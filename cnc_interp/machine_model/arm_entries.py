@@ -89,10 +89,14 @@ def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, .
     demand(
         len(own) == ARM
         and all(elements[name] in ahead and not _slides(elements[name]) for name in own),
-        f'fewer than {ARM} turning joints in a row lead to {flange}; an arm has {ARM} for now',
+        f'{flange} must follow {ARM} turning joints in a row; other arms are not supported',
         'urdf',
     )
-    demand(count <= MOST_FURTHER, f'at most {MOST_FURTHER} joints may carry arm and part', 'urdf')
+    demand(
+        count <= MOST_FURTHER,
+        f'at most {MOST_FURTHER} joints may carry the arm or the part',
+        'urdf',
+    )
     sliding, turning = iter(EXTRA_LETTERS), iter(POSITIONERS)
     letters = [next(sliding if _slides(elements[name]) else turning) for name in names[:count]]
     names = own + names[:count]
@@ -129,8 +133,8 @@ def _direction(joint: ElementTree.Element) -> FloatArray:
     demand(
         joint.get('type') in ('revolute', 'continuous', 'prismatic')
         and joint.find('mimic') is None,
-        f'joint {name} of the URDF neither is fixed nor turns or slides alone; only those joints '
-        'are supported',
+        f'joint {name} of the URDF must be fixed, turn about one axis or slide along one; other '
+        'joints are not supported',
         'urdf',
     )
     direction = _words('1 0 0' if along is None else along.get('xyz', ''), name, 3)
@@ -235,7 +239,7 @@ def _words(text: str, joint: str, count: int) -> FloatArray:
 def _chain(
     parents: dict[str, ElementTree.Element], base: str, link: str
 ) -> tuple[list[ElementTree.Element], list[ElementTree.Element]]:
-    """Return the joints from a base up to where the way to a link begins, and of this way."""
+    """Return the joints on the way from a base to a link: those upward, then those downward."""
     ways, tops = list[list[ElementTree.Element]](), list[str]()
     for at in (base, link):
         ways.append([])

@@ -108,7 +108,7 @@ class JointChain:
     def seen(
         self, tip: FloatArray, axis: FloatArray, beside: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return poses (m, 3) as the arm sees them, with further joints at (m, k)."""
+        """Return poses (m, 3) relative to the arm, with further joints at (m, k)."""
         return kernel.seen(self.packed, tip, axis, np.ascontiguousarray(beside), False)
 
     def followed(
@@ -148,11 +148,11 @@ class JointChain:
 
     @property
     def least(self) -> float:
-        """Least measure that a path may have."""
+        """Smallest measure of the distance from singular poses that a path may have [-]."""
         return float(np.sin(self.machine.singular_cone)) ** 2
 
     def sense(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> float:
-        """Return the sign of the rates' determinant, constant on a path led by a joint."""
+        """Return the sign of the determinant of the rates; a path led by a joint keeps it."""
         return float(np.sign(np.linalg.det(self.pose_rates(q, leads))))
 
     def pose_rates(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> FloatArray:
@@ -206,8 +206,8 @@ class JointChain:
         name = self.machine.axis_names[joint]
         gap = f'within {nearest / DEG:.2g} deg of {there / DEG:z.1f}'
         return SingularityError(
-            f'{name} comes {gap}, where {" and ".join(against)} turn against each other; tilt the '
-            'tool from the flange, turn it (--spin auto), or move the part',
+            f'{name} comes {gap}, a singular pose, where {" and ".join(against)} turn against '
+            'each other; tilt the tool from the flange, turn it (--spin auto), or move the part',
             line,
             name,
         )

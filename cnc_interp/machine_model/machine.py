@@ -185,8 +185,8 @@ class Machine:
                     )
                 elif not QUICKEST <= v / a <= LONGEST or not QUICKEST <= a / j <= LONGEST:
                     yield (
-                        f'{axis.name}: by the machine file it takes {v / a:.3g} s to its largest '
-                        f'velocity, and {a / j:.3g} s to its acceleration; are the units right?'
+                        f'{axis.name}: by the machine file it needs {v / a:.3g} s to reach its '
+                        f'largest velocity, {a / j:.3g} s for acceleration; are the units right?'
                     )
 
     @property

@@ -342,7 +342,11 @@ def _on_travel(
     )
     for name, value in places.items():
         key = f'homing.{section}.{name}'
-        demand(name in travel and np.isfinite(travel[name][0]).all(), 'no axis with a travel', key)
+        demand(
+            name in travel and np.isfinite(travel[name][0]).all(),
+            'the machine has no axis of this name with a travel',
+            key,
+        )
         (low, high), unit = travel[name]
         found[name] = numbers([value], 1, key)[0] * unit
         demand(low < found[name] < high, 'must lie within the travel', key)

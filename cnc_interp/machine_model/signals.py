@@ -368,7 +368,7 @@ def _with_tool_change(found: Signals) -> Signals:
 def _refuse_old_answers(
     steps: list[Step], outputs: tuple[Signal, ...], inputs: tuple[Signal, ...], where: str
 ) -> None:
-    """Reject a request whose answer is withdrawn later, if that answer may be an old one."""
+    """Reject a request if the answer that it waits for may remain from an earlier request."""
     for k, step in enumerate(steps):
         begins, ends = (
             any(s.output == step.output and s.wait == -step.wait for s in part)

@@ -76,7 +76,7 @@ class Store:
             self._news.notify_all()
 
     def condition(self, item: str, level: str, code: str = '', text: str = '') -> None:
-        """Store the report of one of several reporters of a condition; its code names it."""
+        """Store the report of one reporter of a condition, which its code identifies."""
         with self._news:
             counts = self._counts[item]
             active = {one.code: one for one in counts if one.value in (WARNING, FAULT)}
@@ -99,7 +99,7 @@ class Store:
             self._news.notify_all()
 
     def current(self, items: Collection[str], at: int | None = None) -> list[Observation]:
-        """Return the values now, or at an observation number; RequestError if not kept."""
+        """Return the values now, or at an observation number; RequestError if it was dropped."""
         with self._news:
             found = self._counts
             if at is not None:
@@ -143,7 +143,7 @@ class Store:
     def _demand(self, number: int, last: int, name: str) -> None:
         if not self.first_sequence <= number <= last:
             kept = f'{self.first_sequence} to {last}'
-            raise RequestError('OUT_OF_RANGE', f'{name} is {number}; {kept} are there')
+            raise RequestError('OUT_OF_RANGE', f'{name} is {number}; the buffer holds {kept}')
 
 
 def _after(before: list[Observation], new: Observation) -> list[Observation]:

@@ -190,7 +190,7 @@ def _pairs(axes: list[str], values: Any) -> dict[str, float]:
 
 
 class Overrides:
-    """The overrides. Only the machine node subscribes, because a publisher may find one first."""
+    """The overrides; only this node subscribes, as publishers may discover one node first."""
 
     def __init__(
         self, node: Any, playback: Playback, diagnostics: Diagnostics, wake: Callable[[], None]

@@ -20,14 +20,14 @@ TOOL = 'tool'  #: Name of the motion along the tool, used like an axis name in p
 
 def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
     found = [
-        Declared('enable_button', 4, 'Button that must be pressed, number in joy', 0, 63),
-        Declared('step', 0.1, 'Way per count of a handwheel [mm, deg]', 1e-4, 100.0),
+        Declared('enable_button', 4, 'Number in joy of the button that enables motion', 0, 63),
+        Declared('step', 0.1, 'Travel per count of a handwheel [mm, deg]', 1e-4, 100.0),
         Declared('deadband', 0.1, 'Deflections below this are ignored [-]', 0.0, 0.9),
     ]
     for name in (*names, TOOL):
         found += [
             Declared(f'axis.{name}', -1, f'Axis of joy that moves {name}; -1: no axis', -1, 63),
-            Declared(f'scale.{name}', 1.0, 'Largest share of its velocity [-]', -1.0, 1.0),
+            Declared(f'scale.{name}', 1.0, 'Largest share of the axis velocity [-]', -1.0, 1.0),
         ]
     for name in names:
         told = f'Axis of joy that counts the steps of a handwheel for {name}; -1: no handwheel'

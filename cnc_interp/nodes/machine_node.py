@@ -176,7 +176,7 @@ class MachineNode(LifecycleNode):
 
     def _void(self) -> str:
         plan = self._playback.plans.run_id.plan
-        return f'plan {plan} has ended by a stop; its later setpoints are not needed'
+        return f'plan {plan} ended with a stop; its later setpoints are not needed'
 
     def _take(self, chunk: SetpointChunk) -> None:
         playback = self._playback
@@ -198,7 +198,7 @@ class MachineNode(LifecycleNode):
             self._pace.wake()
 
     def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
-        """Give up the run, and one that is still being planned: it would start after a reset."""
+        """Give up the run, also while it is being planned, since it would start after a reset."""
         coming, self._coming = self._coming, NO_RUN
         self._refuse(self._inlet.receiver.run_id, kind, reason)
         self._refuse(coming, kind, reason)

@@ -104,7 +104,7 @@ def wake_at(files: list[int], executor: EventsExecutor) -> None:
 def answering(
     act: Callable[[Any, Any], str], wake: Callable[[], None] = lambda: None
 ) -> Callable[[Any, Any], Any]:
-    """Return a service that answers with the text of an action, or with one line of reason."""
+    """Return a service that answers with the text of an action, or the reason of a refusal."""
 
     def serve(request: Any, response: Any) -> Any:
         wake()

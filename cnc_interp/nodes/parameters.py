@@ -54,8 +54,10 @@ FEEDRATE = (
     *of_settings(Stage.MOTION, Stage.PLANNING, Stage.APPROACH),
     *(each for each in SCENE if each.name == 'setup'),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
-    Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
-    Declared('chunk_time', 0.005, 'Motion in a message, at least one setpoint [s]', 0.0, 0.1),
+    Declared(
+        'plan_ahead', 10.0, 'Motion planned ahead of what the machine buffers [s]', 0.1, 600.0
+    ),
+    Declared('chunk_time', 0.005, 'Motion sent per message, at least one setpoint [s]', 0.0, 0.1),
     RESEND,
     PEER_TIMEOUT,
 )

@@ -63,20 +63,20 @@ class Activity(Enum):
     NONE = 'no run'
     WAITING = 'waits for the machine to rest'
     PLANNING = 'plans ahead'
-    REVISING = 'plans with other settings; the old plan continues'
+    REVISING = 'replans with new settings while the old plan continues'
     JOINING = 'has sent a plan that joins the previous one'
-    RESUMING = 'plans anew from rest'
+    RESUMING = 'replans from rest'
     ENDED = 'the run is over'
 
 
 class Change(Enum):
-    BEGIN = 'the first segment of a run came'
+    BEGIN = 'the first segment of a run arrived'
     PLACE = 'the machine reported where it rests'
     REVISE = 'the operator changed a setting'
-    JOIN = 'the plan with other settings is in time'
-    RESUME = 'the machine left the plan and rests'
-    DONE = 'the plan is there'
-    END = 'the run was executed, refused or given up'
+    JOIN = 'the plan with new settings can still join in time'
+    RESUME = 'the machine stopped and needs a new plan'
+    DONE = 'the plan is finished'
+    END = 'the run was executed, rejected or given up'
 
 
 A, S = Activity, Change

@@ -111,7 +111,7 @@ def prepare(
         for _ in opened():
             pass
     except ProgramError as problem:
-        text = 'if each probe answers at the end of its line, the program ends'
+        text = 'the program would be rejected if each probe answered at the end of its line'
         warning = f'{WARNING}{text}: {problem}'
         return replace(found, notices=(*found.notices, warning))
     return found
@@ -144,7 +144,9 @@ def prepare_line(
     told: Callable[[float], None],
 ) -> Prepared:
     if settings_of_goal(goal, settings) != settings:
-        raise InterpError('a line by hand has the settings of program_node; leave out others')
+        raise InterpError(
+            'an MDI line uses the settings of program_node; leave out other settings'
+        )
     line = reader.line(goal.text, stands, setup)
     done = check(line, setup, goal.text, transform, settings, told, True, stands)
     return replace(done, line=line)

@@ -183,8 +183,8 @@ class ProgramRun:
             return None
         return Outcome(
             Code.BUSY,
-            'the look-ahead is in a run that is not over; reset, or else restart '
-            'lookahead_node and feedrate_node, then run this again',
+            'the look-ahead has an unfinished run; press reset, or restart lookahead_node and '
+            'feedrate_node if that does not help, then run this again',
         )
 
     def _ended(self, machine: MachineReport | None, kind: Refusal, reason: str) -> Outcome | None:
@@ -282,7 +282,7 @@ class ProgramRun:
         full = motion.window_limit * peers.period
         share = motion.buffered_time / full if full else 0.0
         blocks = f'{peers.told("blocks", self.run_id).next_sequence} of {len(program.blocks)}'
-        text = f'{blocks} blocks taken, {share:.0%} of the motion with which it starts'
+        text = f'{blocks} blocks accepted, {share:.0%} of the motion needed to start'
         return f'planning {self.name}: {text}', share
 
     def tool_wanted(self, state: MachineState | None, signals: Signals) -> int | None:

@@ -95,8 +95,8 @@ class SetupServices:
         for change in changes:
             if self._program and change.name in self._in_use | RUNNING:
                 raise InterpError(
-                    f'{change.name} is in use by {self._program}, which runs; change it when the '
-                    'program has ended'
+                    f'{change.name} is used by {self._program}, which is running; change it when '
+                    'the program has ended'
                 )
 
     def _offset(self, request: SetOffset.Request) -> tuple[list[SetupChange], str]:
@@ -121,7 +121,7 @@ class SetupServices:
         if state is None or self._peers.missing(time.monotonic(), FRESH) == 'machine_node':
             raise InterpError('machine_node does not answer; start it, then touch off')
         if not self._peers.at_rest:
-            raise InterpError('the axes move; touch off when they rest')
+            raise InterpError('the axes are moving; touch off when they rest')
         setup, q = self._table.setup, np.array(state.commanded_positions)
         name = request.offset or setup.offset
         frame = self._coordinates(
@@ -138,8 +138,8 @@ class SetupServices:
         note = ''
         if turned and set(values) & set('XYZ') and not frame.of_tip:
             note = (
-                f'; {" and ".join(turned)} not at 0: this suits programs of axis positions; for '
-                'programs with TCP, touch off with the rotary axes at 0'
+                f'; {" and ".join(turned)} not at 0: this offset suits programs without TCP; '
+                'for programs with TCP, touch off with the rotary axes at 0'
             )
         changes = tables.touch_off_changes(setup, request.offset, values, reads, frame, self._zero)
         return changes, note

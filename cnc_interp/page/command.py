@@ -39,7 +39,7 @@ def run_panel(options: Namespace) -> None:
     served = Served.prepare(options.host, options.port, token, options.program, options.programs)
     if not is_loopback(options.host):
         print(
-            f'cnc-interp: {options.host} is seen by others; page and token go unencrypted',
+            f'cnc-interp: others can reach {options.host}; page and token are not encrypted',
             file=sys.stderr,
         )
     domain = options.domain
@@ -67,7 +67,10 @@ def run_panel(options: Namespace) -> None:
         for name in ('program_node', 'feedrate_node', 'machine_node'):
             parameters[name]['setup'] = f"'{options.setup.resolve()}'"
     with Children(options.namespace, domain, parameters, session.nodes_file()) as children:
-        print(f'ROS domain     {domain}: cnc-interp mdi --domain {domain}, and others', flush=True)
+        print(
+            f'ROS domain     {domain}: give it to commands: cnc-interp mdi --domain {domain}',
+            flush=True,
+        )
         until_asked(served, options.namespace, domain, children.revive)
 
 

@@ -75,8 +75,8 @@ def change_text(number: int, setup: JobSetup, unit: LengthUnit) -> str:
     what = f'put tool {number} into the spindle'
     if tool is None:
         return (
-            f'{what}, then press cycle start. Its length is not known: before a program that '
-            'uses it, type it under offsets, touch the tool off, or measure it'
+            f'{what}, then press cycle start. Its length is not known: type it under '
+            'offsets, touch the tool off, or measure it before a program uses it'
         )
     told = [tool.remark, f'length {unit.length(tool.worn.length)} {unit.name}']
     told += [f'pocket {tool.pocket}'] * bool(tool.pocket)

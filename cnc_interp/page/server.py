@@ -237,7 +237,7 @@ def free_port(host: str, port: int) -> int:
     if port not in PORTS:
         raise InterpError(f'--port {port}: ports are {PORTS.start} to {PORTS.stop - 1}')
     if not host:
-        raise InterpError('--host: no address is given; 0.0.0.0 stands for all of this computer')
+        raise InterpError('--host: give an address; 0.0.0.0 means every address of this computer')
     family = socket.AF_INET6 if ':' in host else socket.AF_INET
     with socket.socket(family) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

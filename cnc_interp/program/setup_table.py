@@ -51,7 +51,7 @@ class SetupTable:
         except BlockingIOError:
             raise InterpError(f'{file}: another program_node keeps its offsets there') from None
         except OSError as problem:
-            raise InterpError(f'{file}: no log beside it: {problem.strerror}') from None
+            raise InterpError(f'{file}: its log cannot be written: {problem.strerror}') from None
         if file.exists():
             self.setup = JobSetup.load(file)
 
@@ -103,7 +103,7 @@ def values_by_axis(
         raise InterpError('name each axis once, with one value for each')
     for letter, value in zip(letters, values, strict=True):
         if letter not in axes:
-            raise InterpError(f'no axis {letter} takes an offset here; there are {" ".join(axes)}')
+            raise InterpError(f'{letter} has no offset here; the axes are {" ".join(axes)}')
         if not isfinite(value) or abs(value) > LARGEST:
             raise InterpError(f'{letter}: an offset beyond 100,000 mm; correct it or its unit')
     return dict(zip(letters, values, strict=True))
@@ -157,7 +157,7 @@ def tool_changes(
 def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Tool:
     unknown = set(given) - set(TOOL_FIELDS)
     if unknown:
-        raise InterpError(f'tool {number}: no {unknown.pop()}; there are {", ".join(TOOL_FIELDS)}')
+        raise InterpError(f'tool {number} has no {unknown.pop()}; it has {", ".join(TOOL_FIELDS)}')
     tool = replace(setup.tools.get(number, Tool()), **given)  # type: ignore[arg-type]
     for name in TOOL_SIZES:
         value = getattr(tool, name) or 0.0

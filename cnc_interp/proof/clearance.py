@@ -87,7 +87,7 @@ def prove_clearance(ledger: Ledger, machine: Machine) -> Motion | None:
     plan = ledger.plan
     file, found = plan.settings.get('scene'), plan.collision
     if not file:
-        ledger.require(not found, 'collision.npz belongs to a scene, which summary.json lacks')
+        ledger.require(not found, 'collision.npz belongs to a scene, but summary.json names none')
         return None
     if not plan.path:
         return None
@@ -182,7 +182,7 @@ def _hits(motion: Motion, found: Mapping[str, Any]) -> dict[tuple[int, int], Spa
         a, b = (int(k) for k in found['pair'][row])
         begin = float(found['begin'][row])
         if not motion.cells.s[0] <= begin < motion.cells.s[-1]:
-            ledger.fail('collision.npz has a hit beside the motion')
+            ledger.fail('collision.npz has a hit that is not on the path')
             continue
         turn, origin = motion.frames_at(begin)
         points = found['witness'][row].reshape(2, 3)
@@ -286,8 +286,8 @@ def _cover(
         left = _left(needed, excused.get((a, b), []))
         for begin, _ in needed:
             if not stock_is_cut(placed, a, b) and _inside(motion, a, b, begin):
-                names = f'{placed.scene.bodies[a].name} and {placed.scene.bodies[b].name}'
-                ledger.fail(f'{names} are one inside the other at {begin:.6g} m')
+                names = f'{placed.scene.bodies[a].name} or {placed.scene.bodies[b].name}'
+                ledger.fail(f'{names} is inside the other body at {begin:.6g} m')
         waiting = [(p, q, left) for p in placed.roots(a) for q in placed.roots(b) if left]
         while waiting:
             p, q, open_spans = waiting.pop()

@@ -1,4 +1,4 @@
-"""Completeness of a motion: it passes every vertex, axes reach their words, and stops rest."""
+"""Completeness of a motion: it passes every vertex, reaches axis words, and rests at stops."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ SAME_VALUE = 1e-9  #: Largest relative difference of equal output values [-].
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     """Check that every function acts in order and at the begin of its block.
 
-    Only those entries of the machine's table of functions matter that wait for a rest.
+    Of the machine's table of functions, only the entries that wait for a rest are used.
     """
     found, signals, count = plan.functions, machine.signals, len(plan.block)
     block, step, sample = (found[name] for name in ('block', 'step', 'sample'))
@@ -48,15 +48,15 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             name, place = signals.text(signals.steps[step[k]].output, found['value'][k]), sample[k]
             ledger.fail(f'line {found["line_number"][k]}: {name} {text} (setpoint {place})')
 
-    demand(np.diff(block, prepend=0) >= 0, 'is out of order')
+    demand(np.diff(block, prepend=0) >= 0, 'is not in the order of the blocks')
     came = sample != MISSING
     unknown = (block >= ledger.known_rows) & bool(plan.cut)
-    demand(came | unknown, 'did not come out')
-    demand(~came | (np.diff(sample, prepend=0) >= 0), 'came out of order')
+    demand(came | unknown, 'was not executed')
+    demand(~came | (np.diff(sample, prepend=0) >= 0), 'was executed out of order')
     inside = np.clip(sample, 0, count - 1)
     here, before = gathered(plan.block, inside), gathered(plan.block, np.maximum(inside - 1, 0))
     at_end = sample == count
-    demand(~came | (here >= block) | at_end, 'came out before its block')
+    demand(~came | (here >= block) | at_end, 'was executed before its block')
     late = np.where(at_end, here >= block, (sample > 0) & (before >= block))
     demand(~came | ~late, 'was executed after the beginning of its block')
     waiting = np.array([each.rests for each in signals.steps], dtype=np.bool_)[step]
@@ -148,7 +148,7 @@ def prove_followed(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     begins = (found['step'] == words[FOLLOWS].start) & (found['sample'] != MISSING)
     starts, block = np.flatnonzero(begins).tolist(), record['block'][:]
     lines = np.split(np.arange(len(block)), np.flatnonzero(np.diff(block)) + 1)
-    text = f'{len(starts)} lines were to follow the spindle, {len(lines)} did'
+    text = f'{len(starts)} lines should follow the spindle, but {len(lines)} did'
     ledger.require(len(starts) == len(lines), text)
     for number, (k, rows) in enumerate(zip(starts, lines, strict=False), start=1):
         _prove_line(ledger, plan, machine, k, rows, plan.cut != '' and number == len(lines))
@@ -176,7 +176,7 @@ def _prove_line(
     later = int(record['later'][rows[0]])
     angle, beside = angle[later:], place[: len(place) - later]
     known = np.isfinite(angle)
-    text = f'of line {line} the angle of the spindle is known in {known.sum()} periods only'
+    text = f'line {line}: the spindle angle is known in only {known.sum()} periods'
     ledger.require(cut or known.sum() >= KNOWN_ANGLES * len(known), f'{text}, of {len(known)}')
     angle, beside = angle[known], beside[known]
     in_step = (beside > 0.5 * ramp) & ((turns < 0.0) | (beside < turns - 0.5 * ramp))

@@ -1,4 +1,4 @@
-"""Where geometric errors bring the tool: a chain of frames, with finite rotations."""
+"""The tool pose under geometric errors, by a chain of frames with finite rotations."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ def _prove_setpoints(ledger: Ledger, grid: FloatArray, rows: IntArray) -> None:
         if len(wrong):
             others, other = others + len(wrong), a + int(wrong[0]) if other < 0 else other
         _prove_speeds(ledger, grid, rows, (a, b))
-    text = 'block of setpoints.npz and of path.npz differ at'
+    text = 'setpoints.npz and path.npz name different blocks at'
     ledger.require(not others, f'{text} {others} samples, the first is {other}')
     stops = np.flatnonzero(plan.blocks['exact_stop'])
     stops = stops[(stops >= rows[0]) & (stops < len(plan.blocks['exact_stop']))]

@@ -219,7 +219,9 @@ class _Comparison:
         for row in np.flatnonzero(waits != self.blocks['program_stop'])[:1]:
             line, found = self.blocks['line'][row], int(self.blocks['program_stop'][row])
             wanted = WAITS[int(waits[row])]
-            faults.append(f'line {line} of the program: {wanted} after it, not {WAITS[found]}')
+            faults.append(
+                f'line {line} of the program: {wanted} must follow it, not {WAITS[found]}'
+            )
         stated = plan.summary.get('waits_first', waits_first)
         if stated is not waits_first:
             stated = 'waits' if stated else 'does not wait'
@@ -280,7 +282,7 @@ class _Comparison:
             return True
         end = rows[-1]
         if move.stop and before is not None and not self.blocks['exact_stop'][end]:
-            self.fault(move, f'rests at its end, its row {end} does not')
+            self.fault(move, f'rests at its end, but its row {end} does not')
         off = float(np.linalg.norm(self.blocks['tip'][end] - tip))
         if off > near:
             self.fault(move, f'ends {off / MM:.4g} mm from the end of its row {end}')
@@ -289,7 +291,7 @@ class _Comparison:
             self.fault(move, f'its tool axis is {turned:.3g} rad from that of its row {end}')
         rotary = self.blocks['rotary'][end, : len(move.rotary)]
         if move.worded and np.isnan(rotary).any():
-            self.fault(move, f'has rotary words, its row {end} has none')
+            self.fault(move, f'has rotary words, but its row {end} has none')
         if len(move.rotary) and np.isfinite(rotary).all() and move.axis is None:
             away = float(np.abs(rotary - move.rotary).max())
             if away > angle:
@@ -352,7 +354,7 @@ class _Comparison:
                 arc = f', and its arc {chords / MM:.4g} mm' if chords else ''
                 self.fault(
                     move,
-                    f'has {what} tolerance of {wanted / MM:.6g} mm, its rows may use '
+                    f'has {what} tolerance of {wanted / MM:.6g} mm, but its rows may use '
                     f'{used / MM:.6g} mm{arc}',
                 )
 
@@ -381,7 +383,8 @@ class _Comparison:
         if abs(angle - wanted) > blur or (turns < 0.0).any():
             self.fault(
                 move,
-                f'turns by {np.degrees(wanted):.6g} deg, its rows by {np.degrees(angle):.6g} deg',
+                f'turns by {np.degrees(wanted):.6g} deg, but its rows turn by '
+                f'{np.degrees(angle):.6g} deg',
             )
         # A centre that is off by a digit turns a helix, and so moves it along its axis.
         elif max(even, straight - blur / max(angle, 1e-12) * np.ptp(height)) > room:
@@ -402,7 +405,7 @@ class _Comparison:
         duration, feed = self.blocks['duration'][rows], self.blocks['feed'][rows]
         if move.rapid:
             if np.isfinite(duration).any() or np.isfinite(feed).any():
-                self.fault(move, 'is a rapid, a row of it has a feed or a duration')
+                self.fault(move, 'is a rapid, but one of its rows has a feed or a duration')
             return
         timed, times = np.isfinite(duration), self.lasts(move, before, rows)
         if np.isnan(move.feed) and np.isnan(move.duration):
@@ -416,11 +419,11 @@ class _Comparison:
             room = SAME_FEED * wanted + self.unsure_time(move, wanted, rows)
             even = np.abs(duration - share).max() <= room
             if not (even and abs(spent - wanted) <= room):
-                self.fault(move, f'lasts {wanted:.6g} s, its rows {spent:.6g} s')
+                self.fault(move, f'lasts {wanted:.6g} s, but its rows last {spent:.6g} s')
         else:
             worst = feed[np.argmax(np.abs(feed - move.feed))]
             if not abs(worst - move.feed) <= (SAME_FEED + move.unsure) * move.feed:
-                found = f'{move.feed / MM_PER_MIN:.6g} mm/min, a row of it'
+                found = f'{move.feed / MM_PER_MIN:.6g} mm/min, but one of its rows has'
                 self.fault(move, f'has F {found} {worst / MM_PER_MIN:.6g}')
 
     def unsure_time(self, move: ReadMove, wanted: float, rows: IntArray) -> float:

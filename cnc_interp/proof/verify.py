@@ -188,7 +188,7 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
     line, time, blocks = plan.blocks['line'], plan.setpoints['time'], plan.blocks
     for what, sample, reached in order.left:
         text = f'out of order: from sample {sample} on ({time[sample]:.3f} s) the {what} does not'
-        ledger.fail(f'{text} follow the program, which it followed to line {line[reached]}')
+        ledger.fail(f'{text} follow the program; up to line {line[reached]} it does')
     if order.left:
         return plan
     if plan.cut:
@@ -347,14 +347,14 @@ def with_beside(
             uses[TORQUE, j] = float(torque.max()) / load.torque
         largest = max(largest, *uses.values())
         faults += [
-            f'{kind} of {machine.axis_names[j]} uses {share:.2%} of its limit beside the program '
+            f'{kind} of {machine.axis_names[j]} uses {share:.2%} of its limit outside the program '
             f'(motion {k})'
             for (kind, j), share in uses.items()
             if not share <= ROUNDING
         ]
         beyond = np.maximum(machine.travel[:, 0] - q, q - machine.travel[:, 1]).max(axis=0)
         faults += [
-            f'{name} exceeds its travel beside the program (motion {k})'
+            f'{name} exceeds its travel outside the program (motion {k})'
             for name, outside in zip(machine.axis_names, beyond, strict=True)
             if not outside <= SLACK
         ]

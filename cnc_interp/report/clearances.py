@@ -60,7 +60,7 @@ def _hits(placed: Placed, plan: PlanFiles) -> list[int]:
 def distances(
     placed: Placed, machine: Machine, plan: PlanFiles, pairs: list[tuple[int, int]], rows: Any
 ) -> FloatArray:
-    """Return the distance of pairs of bodies at setpoints, (rows, pairs) [m]; NaN: not there."""
+    """Return the distance of pairs of bodies at setpoints, (rows, pairs) [m]; NaN if absent."""
     tool = tools_at(plan, machine.signals, placed.scene.first_tool, plan.block[rows])
     found, space = np.full((len(rows), len(pairs)), np.nan), space_of(placed)
     pose = np.empty((len(placed.names), 12))

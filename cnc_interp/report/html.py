@@ -146,7 +146,7 @@ def add_curve(
 
 
 def scene(ranges: Iterable[dict[str, Any]], eye: dict[str, float], low: float) -> dict[str, Any]:
-    """Return the axes and the camera of a figure in space, which is seen ``low`` of its middle."""
+    """Return axes and camera of a figure in space; the view centre is moved down by ``low``."""
     plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID}
     return {
         **{
@@ -158,7 +158,7 @@ def scene(ranges: Iterable[dict[str, Any]], eye: dict[str, float], low: float) -
 
 
 def feed_ceiling(feed: FloatArray, programmed: FloatArray, most: float = 3.0) -> float:
-    """Choose the upper end of a feed axis; ``most``: over the fastest motion, for the program."""
+    """Choose the upper end of a feed axis, at most ``most`` times above the fastest motion."""
     asked = float(programmed[np.isfinite(programmed)].max(initial=0.0))
     fastest = float(feed.max(initial=0.0))
     return HEADROOM * max(fastest, min(asked, most * fastest)) or 1.0

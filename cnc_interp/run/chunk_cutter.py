@@ -1,4 +1,4 @@
-"""Stops along the path: the tail of each chunk, and the way down to another plan.
+"""Stops along the path: the tail of each chunk, and the braking motion to another plan.
 
 A tail follows the plan to the next setpoint that has a stop, and then that stop. A plan that
 joins in motion is never slower than a stop from there (``way_down``).

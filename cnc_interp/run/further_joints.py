@@ -1,7 +1,8 @@
-"""Positions of a rail or a positioner for a program that leaves them where they start.
+"""Choose positions of a rail or a positioner for a program that never moves them.
 
-They rest while the tool cuts. If the arm cannot follow a cut from where they are, they move, on
-the rapid moves before it, to the nearest position from which most spins of the tool can follow.
+They rest while the tool cuts. If the arm cannot follow a cut from their present position, they
+move during the rapid moves before it. Among the positions from which most spins of the tool can
+follow the cut, the nearest one is taken.
 """
 
 from dataclasses import replace
@@ -64,7 +65,7 @@ def _place(chain: JointChain, tip: FloatArray, axis: FloatArray, here: FloatArra
 
 
 def _spins(chain: JointChain, tip: FloatArray, axis: FloatArray, place: FloatArray) -> int:
-    """Return with how many spins the arm follows poses (m, 3) from a position (k,)."""
+    """Return the number of spins with which the arm follows poses (m, 3) from a position (k,)."""
     count, rows, (low, high) = 0, np.tile(place, (len(tip), 1)), chain.machine.travel.T
     for spin in chain.spin + SPINS:
         spun = chain.spun(float(spin))

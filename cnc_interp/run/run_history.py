@@ -51,7 +51,7 @@ class RunHistory:
         self.file = Path(path) if path else state_folder() / 'runs.csv'
 
     def append(self, row: Mapping[str, object]) -> None:
-        """Write a row to the disk; InterpError where that is not possible."""
+        """Write a row to the disk; raises InterpError if that fails."""
         texts = {name: ' '.join(str(value).split()) for name, value in row.items()}
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
@@ -71,7 +71,7 @@ class RunHistory:
             ) from None
 
     def latest(self, count: int) -> list[dict[str, str]]:
-        """Return the last rows, the latest first; none where the file cannot be read."""
+        """Return the last rows, the latest first; [] if the file cannot be read."""
         try:
             lines = self._tail().splitlines()
         except OSError:

@@ -1,8 +1,8 @@
 """The turn of an arm's tool about its axis, chosen by the planned time of each cut.
 
 A cut lasts from one rapid move to the next. Many spins are followed along its poses, and some of
-those that stay within travel and away from singular poses are planned. From cut to cut the spin
-changes on the rapid moves between them. ``best`` then bends the spin of a cut into a quartic.
+those that stay within travel and away from singular poses are planned. The spin changes on the
+rapid moves between cuts. ``best`` then bends the spin of a cut into a quartic.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ class SpinSearch:
             return inf
 
     def _bent(self, way: _Way) -> tuple[tuple[FloatArray, ...], float]:
-        """Return the fastest quartics near the constants of a way, and the share they save."""
+        """Return the fastest quartics near the constant spins of a way, and the saved share."""
         curves, here, n = list(way.curves), way.start, len(self._segments)
         for number, (_, end) in enumerate(self._cuts):
             first = self._cuts[number - 1][1] if number else 0

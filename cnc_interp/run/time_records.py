@@ -1,7 +1,7 @@
 """Records of controls and shops: which line began when, path feeds, and cycle times.
 
-A record is a CSV file, a document of MTConnect streams, or a trace of a Sinumerik. Messages about
-a bad one name its line.
+A record is a CSV file, a document of MTConnect streams, or a trace of a Sinumerik. Error messages
+name the line that cannot be read.
 """
 
 from __future__ import annotations

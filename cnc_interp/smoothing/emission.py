@@ -188,10 +188,10 @@ class Emission:
         return np.where(moved.any(axis=1), np.sqrt(turned**2 + (moved**2).sum(axis=1)), turned)
 
     def _longer(self, rows: IntArray) -> FloatArray:
-        """Return path length over the way of the tip: 1, or that at flank height where it swivels.
+        """Return path length over tip length: 1, or at flank height where the tool swivels.
 
-        By the way of the tip, rotary axes would turn by up to 1e8 rad/m, and the last digit of a
-        place on the path would be a jump.
+        Measured by the way of the tip, rotary axes would turn by up to 1e8 rad/m, so that rounding
+        a place on the path would make the axes jump.
         """
         legs, swivels = self.legs, self.legs.swivels[rows]
         turned = self.style.height * legs.turn[rows]

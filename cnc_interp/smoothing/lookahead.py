@@ -3,8 +3,8 @@
 Runs of short blocks first become curves (``compressor.py``). Then each vertex between the
 remaining blocks is classified: a corner is rounded, at a stop the tool rests, and otherwise the
 path continues straight. Where a stop is faster than a rounded corner, the tool rests, too
-(``stop_choice.py``). A corner is final when the next corner has its size, because both share a
-line between them that is too short. The result does not depend on how the blocks are divided
+(``stop_choice.py``). A corner is final when the size of the next corner is known, because both may
+have to share a short line between them. The result does not depend on how the blocks are divided
 into batches.
 """
 

@@ -91,7 +91,7 @@ def test_what_a_program_uses_is_refused_with_one_line(panel, tmp_path):
     tab.click('offsets')
     tab.fill('G54 X', '5')
     tab.click('set G54')
-    told = 'G54 is in use by waits.ngc, which runs'
+    told = 'G54 is used by waits.ngc, which is running'
     tab.wait(lambda: tab.shows(told))
     assert 'G54' not in panel.setup.work_offsets
     tab.click('close setup')

@@ -439,7 +439,7 @@ def test_a_contact_where_the_axes_never_were_is_found(axis, held):
     assert faults_of(record, recorded_run(record), machine) == []
     touched(record, np.where(np.arange(5) == axis, 1e-3, 0.0))
     (fault,) = faults_of(record, recorded_run(record), machine)
-    assert fault.startswith('line 3: the axes were never where')
+    assert fault.startswith('line 3: the axes never passed the recorded')
 
 
 def in_step(record, machine):
@@ -460,7 +460,7 @@ def test_a_thread_without_its_spindle_is_found(held):
     assert faults_of(record, recorded_run(record), machine) == []
     record.without(record.read('followed_spindle'))
     (fault,) = faults_of(record, recorded_run(record), machine)
-    assert 'no followed_spindle for line' in fault
+    assert 'lacks its followed_spindle' in fault
 
 
 def write_runs(folder, record, changes):

@@ -60,7 +60,7 @@ def test_a_program_started_at_an_override_of_0_begins_when_it_is_raised(bench):
     bench.spin_until(lambda: bench.state.feed_override == 0.0)
     bench.text = waves(1)
     handle = bench.start(text=bench.text)
-    begun = r'planning <text>: (\d+) of \1 blocks taken, 0% of the motion with which it starts'
+    begun = r'planning <text>: (\d+) of \1 blocks accepted, 0% of the motion needed to start'
     bench.spin_until(lambda: any(re.fullmatch(begun, text) for _, text in bench.diagnostics))
     bench.override.publish(Float64(data=1.0))
     bench.finish(handle)

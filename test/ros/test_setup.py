@@ -154,7 +154,8 @@ def test_what_a_running_program_uses_is_not_changed(bench):
     for name in ('G54', 'G55', 'G92'):
         told = bench.refused('set_offset', offset=name, axes=['X'], values=[0.0])
         assert (
-            told == f'{name} is in use by <text>, which runs; change it when the program has ended'
+            told
+            == f'{name} is used by <text>, which is running; change it when the program has ended'
         )
     assert 'in use' in bench.refused('touch_off', axes=['X'], values=[0.0])
     assert 'in use' in bench.refused('set_tool', number=1, load=True)
@@ -178,7 +179,7 @@ def test_a_waiting_program_starts_with_the_offsets_of_its_start(bench):
     ('service', 'request_', 'part'),
     [
         ('set_offset', {'offset': 'G60', 'axes': ['X'], 'values': [0.0]}, 'G60: no such offset'),
-        ('set_offset', {'axes': ['W'], 'values': [0.0]}, 'no axis W takes an offset'),
+        ('set_offset', {'axes': ['W'], 'values': [0.0]}, 'W has no offset'),
         ('set_offset', {'axes': ['X'], 'values': [float('nan')]}, 'X: an offset beyond'),
         ('set_offset', {'axes': ['X', 'X'], 'values': [0.0, 1.0]}, 'name each axis once'),
         ('set_offset', {'offset': 'G55'}, 'nothing to change'),

@@ -315,7 +315,7 @@ def test_rotary_words_are_refused_by_name(word, tmp_path):
         ({'part': 'forearm'}, 'forearm is not fixed to base'),
         ({'urdf': 'none.urdf'}, 'cannot be read as URDF'),
         ({'urdf': 'ur10e.yaml'}, 'cannot be read as URDF'),
-        ({'base': 'upper_arm'}, 'fewer than 6 turning joints in a row lead to flange'),
+        ({'base': 'upper_arm'}, 'flange must follow 6 turning joints'),
         ({'home_deg': '[0, 0]'}, 'must be a list of 6 numbers'),
         ({'speed': '3'}, 'arm.speed: unknown'),
         ({'limits': '{J1: 3}'}, "limits: may only be 'guess'"),

@@ -336,7 +336,7 @@ def test_a_mesh_of_a_file_is_hit_where_the_box_is(folder, capsys):
         ('bodies:\n' + box('wall', [-9, -9, 0], [9, 9, 9]) * 2, 'is used twice'),
         (
             'bodies:\n' + box('wall', [-9, -9, 0], [9, 9, 40]) + TOOL,
-            'cutter and wall are too near before anything moves',
+            'cutter and wall are too close before anything moves',
         ),
         (
             'bodies:\n  - {name: jar, link: workpiece, mesh: big.stl}\n' + TOOL,

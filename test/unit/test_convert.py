@@ -156,7 +156,7 @@ def test_notes_say_what_a_control_with_one_parameter_loses():
     assert written == pytest.approx(plain, rel=1e-3) and plain > 1e-4
     line = read('TRAORI\nORIVECT\nG0 X0 A10 C20\nG1 X10 A14 F600\nM30\n')
     made = convert(line, MACHINE, Settings(), 'siemens-bspline', 0.01 * UM)
-    assert 'rate up to' in made.text and 'five control points' not in made.text  # no corner
+    assert 'rate jumps' in made.text and 'five control points' not in made.text  # no corner
 
 
 def test_machines_without_rotary_axes_need_no_tool_axis_words():

@@ -212,7 +212,7 @@ def test_random_contours_are_followed_at_the_radius_or_refused(radii, radius, le
         ('G41 D1\nG42 D1', 'G42: G41 is on; write G40'),
         ('G41.1\nG1 X0', r'G41\.1: give the diameter'),
         ('G41 D1\nG3 X-16 I2', 'does not fit'),
-        ('G41 D1\nG1 X0 Y0\nX40\nG40\nG2 X50 I5', 'after G40 a line'),
+        ('G41 D1\nG1 X0 Y0\nX40\nG40\nG2 X50 I5', 'after G40 must be a line'),
         ('G41 D1\nG1 X0 Y0\nG92 X0', 'G92: G41 is on; write G40'),
         ('G41 D1\nG1 X0 Y0\nG18', 'G18: another plane while G41 is on'),
         ('G41 D1\nG1 X0 Y0\nTRANS X1', 'TRANS: G41 is on'),

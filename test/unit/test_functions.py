@@ -412,9 +412,9 @@ def test_the_check_proves_every_function_and_finds_a_wrong_one(tmp_path) -> None
     assert blocks[sample[at]] == plan.functions['block'][at] > blocks[sample[at] - 1]
     for changed, told in (
         ({'sample': sample + (np.arange(len(sample)) == at)}, 'was executed after the beginning'),
-        ({'sample': sample - (np.arange(len(sample)) == at)}, 'came out before its block'),
-        ({'sample': np.where(np.arange(len(sample)) == at, -1, sample)}, 'did not come out'),
-        ({'block': plan.functions['block'][::-1]}, 'is out of order'),
+        ({'sample': sample - (np.arange(len(sample)) == at)}, 'was executed before its block'),
+        ({'sample': np.where(np.arange(len(sample)) == at, -1, sample)}, 'was not executed'),
+        ({'block': plan.functions['block'][::-1]}, 'is not in the order of the blocks'),
         ({'step': plan.functions['step'] + 100}, 'names steps that the machine does not have'),
         (
             {'step': np.where(plan.functions['step'] == m8, m8 - 1, plan.functions['step'])},

@@ -253,7 +253,7 @@ def test_wrong_words_are_refused_by_line(text, kind, why, tmp_path):
         ({'start': '{U: 1600}'}, r'start\.U: outside its travel -1500 \.\.\. 1500'),
         ({'start': '{V: 0}'}, r'start\.V: unknown'),
         ({'start': '5'}, r'start: must hold positions'),
-        ({'base': 'forearm'}, 'fewer than 6 turning joints in a row lead to flange'),
+        ({'base': 'forearm'}, 'flange must follow 6 turning joints'),
         ({'joint_limits': 'limits/ur10e.yaml'}, r'joint_limits\.positioner: max_acceleration'),
     ],
 )

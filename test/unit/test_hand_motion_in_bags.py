@@ -53,6 +53,6 @@ def test_what_is_no_motion_by_hand_is_found(follow):
     """In the middle of a line, or with a jump into another plan while the axes move."""
     moving = rows([2.0, 3.0], [0.0, 1.0], 0)
     (fault,) = follow((PLANS[1], rows([2.2, 2.6], [0.0, 0.0], 7)))
-    assert 'was not sent so' in fault
+    assert 'differs from the setpoint sent' in fault
     (fault,) = follow((PLANS[1], moving), (PLANS[2], rows([2.0, 2.5], [0.0, 0.0], 7)))
     assert 'was left in motion' in fault

@@ -113,7 +113,7 @@ def test_a_file_that_cannot_be_meant_is_one_line(tmp_path, capsys, old, new, tol
     [
         ('velocity_m_per_min', 0.1, 'Z: the largest velocity of the machine file is 100 mm/min'),
         ('velocity_m_per_min', 500.0, '500000 mm/min; is the unit right?'),
-        ('acceleration_m_per_s2', 0.01, '30 s to its largest velocity'),
+        ('acceleration_m_per_s2', 0.01, '30 s to reach its largest velocity'),
     ],
 )
 def test_a_plan_tells_limits_in_a_wrong_unit(tmp_path, capsys, key, value, told):

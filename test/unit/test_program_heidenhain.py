@@ -276,7 +276,7 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
         ('CYCL DEF 26.1 X2|CC X+5 Y+0|C X+10 Y+0 DR+ F9', 'different scales'),
         ('CYCL DEF 8.1 X|CYCL DEF 7.1 X5', 'write CYCL DEF 8.1 without axes'),
         ('CYCL DEF 8.1 X|CYCL DEF 10.1 ROT+30', 'CYCL DEF 10: axes are mirrored'),
-        ('CYCL DEF 8.1 X|CYCL DEF 26.1 X2 CCX+1', 'the centre of a scale'),
+        ('CYCL DEF 8.1 X|CYCL DEF 26.1 X2 CCX+1', 'a mirrored axis and a centre'),
         ('CYCL DEF 8.1 Z|CYCL DEF 200 D~\nQ201=-1~\nQ206=9|CYCL CALL', 'CYCL DEF 200: axes are'),
         ('L X+0 Z+50 FMAX|CYCL DEF 204 X|CYCL CALL', 'Q214 from 1 to 4'),
         (

@@ -149,7 +149,7 @@ def test_text_before_a_last_percent_is_the_program():
 
 def test_a_block_of_hours_is_told():
     notices = read('G93 G1 X1 F1\nX2 F0.005\nX3 F1\n', 'part.ngc').notices
-    assert notices == ('line 2: G93: F0.005 is a block of 3.33 h; F counts blocks per minute',)
+    assert notices == ('line 2: G93: F0.005 makes a block last 3.33 h; F is in blocks per minute',)
     assert not read('G93 G1 X1 F1\nX2 F0.02\n', 'part.ngc').notices
 
 

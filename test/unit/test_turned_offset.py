@@ -136,7 +136,7 @@ def test_a_rotation_is_asked_for_like_an_axis():
     values = values_by_axis(['X', 'R'], [0.1, 0.5], ('X', 'Y', 'Z', 'R'))
     (change,) = offset_changes(JobSetup(), 'G55', values, clear=False, activate=False)
     assert JobSetup().changed(change).rotation('G55') == 0.5
-    with pytest.raises(InterpError, match='no axis R takes an offset here'):
+    with pytest.raises(InterpError, match='R has no offset here'):
         values_by_axis(['R'], [0.5], ('X', 'Y', 'Z'))
 
 

@@ -155,7 +155,7 @@ class Moves:
         return np.asarray(ruled)
 
     def _near_pole(self, row: IntArray, height: float) -> BoolArray:
-        """Return which motions come so near to the pole that words must rule, shape (m,)."""
+        """Return which motions are so near to the pole that rotary words decide, shape (m,)."""
         cone = POLE_TOLERANCES * self.rows[row, col.ORIENTATION] / height
         ends = self._before[row, col.ROTARY], self.rows[row, col.ROTARY]
         near = self._geometry.five_axis.nearest_to_pole(*ends)
@@ -257,7 +257,7 @@ class Moves:
         return np.asarray(point)
 
     def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses; where rotary axes run linearly, points: they deviate like the tip."""
+        """Return poses; where rotary axes run linearly, points that deviate like the tip."""
         tip, axis = self.poses(row, u)
         linear = self.interpolation[row] != POSES
         if linear.any():

@@ -163,5 +163,5 @@ def _end_block(at: Execution, words: BlockWords, calling: Call | None) -> None:
     elif (returns := codes.RETURN_M & set(words.m)) and at.flow.depth:
         at.flow.leave()
     elif returns:
-        at.notice(min(returns), 'in the main program: its end')
+        at.notice(min(returns), 'it ends the program, because no subprogram was called')
         at.flow.ended = True

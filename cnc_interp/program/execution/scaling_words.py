@@ -62,7 +62,7 @@ def _demand_rest(at: Execution, code: str) -> None:
     mover = at.mover
     at.refuse_if(
         mover.tcp or mover.oriented or at.plane.parts,
-        'with tool-tip programming or a tilted plane; post the path itself',
+        'not possible with tool-tip programming or a tilted plane; post the path itself',
         code,
     )
     at.demand(at.cycle is None, 'a canned cycle is on; write G80 first', code)
@@ -87,4 +87,4 @@ def scale_or_mirror_frame(at: Execution, key: str, words: BlockWords) -> None:
         else:
             frames.mirrors[i] = 0.0
     frames.update()
-    mover.notice(key, 'about the zero of the frame; lengths and radii of tools stay')
+    mover.notice(key, 'it acts about the zero of the frame; tool lengths and radii are kept')

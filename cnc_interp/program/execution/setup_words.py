@@ -48,7 +48,7 @@ def choose_offset(at: Execution, code: str) -> None:
 
 
 def keep_shift(at: Execution, before: FloatArray) -> None:
-    """Keep the change of the program coordinates, where incremental words run through it."""
+    """Store a shift of the coordinates, for dialects whose incremental words run through it."""
     if at.mover.dialect.runs_shifts and not at.mover.targets.empty:
         at.mover.shifted += before - at.mover.here()
 

@@ -231,7 +231,9 @@ class CutterRadius:
 
     def push(self, row: FloatArray) -> list[FloatArray]:
         if np.abs(np.nan_to_num(row[col.ROTARY] - self._rotary)).max() > 0.0:
-            raise self._fault('rotary motion in cutter compensation; write G40 first', row)
+            raise self._fault(
+                'no rotary motion is possible in cutter compensation; write G40 first', row
+            )
         element = self._element(row)
         if element is None:
             if self._rows:
@@ -287,7 +289,7 @@ class CutterRadius:
             return Element.line(self._here, end) if abs(end - self._here) > SHORTEST else None
         turn = float(row[col.NORMAL] @ self._frame[:, 2])
         if abs(abs(turn) - 1.0) > SMOOTH:
-            raise self._fault('an arc in another plane in cutter compensation', row)
+            raise self._fault('the arc must lie in the plane of the cutter compensation', row)
         sweep = float(np.copysign(1.0, turn) * row[col.SWEEP])
         return Element(self._here, end, self._flat(row[col.CENTRE]), sweep)
 

@@ -62,7 +62,7 @@ class Frames:
     def work_change(
         self, index: int, words: dict[int, float], here: Vector | None, angle: float | None = None
     ) -> SetupChange:
-        """Return the change by G10 L2, or by L20 (``here``): its coordinates read the words."""
+        """Return the change by G10 L2, or by L20 (``here``), which sets coordinates to words."""
         name = WORK_OFFSETS[index - 1] if index else self._setup.offset
         position = dict(self._setup.work_offsets.get(name, {}))
         if angle is not None:

@@ -390,7 +390,7 @@ class ModalState(ModalValues):
             self.blocks_per_minute = value
             if value < SLOWEST:
                 hours = f'{1.0 / (60.0 * value):.3g} h'
-                self.notice('G93', f'{word} is a block of {hours}; F counts blocks per minute')
+                self.notice('G93', f'{word} makes a block last {hours}; F is in blocks per minute')
         else:  # with G95 the unit is m per rev/min; the spindle speed converts it to m/s
             self.feedrate, self.turn_rate = value * unit / MINUTE, value * DEG / MINUTE
 

@@ -52,7 +52,7 @@ class Mover(ArcTargets):
             raise self.fault('axis words before G0 or G1; write G0 or G1 first')
         self.refuse_if(
             self.leaves_contour and self.motion >= 2,
-            'after G40 a line leads away; write G1 before the arc',
+            'the motion after G40 must be a line; write G1 before the arc',
         )
         if self.targets.empty and self._begins_here(words):
             self.go(self.point, self.rotary, rapid=True)
@@ -75,7 +75,9 @@ class Mover(ArcTargets):
         self._carry(words, machine, point)
         arc: tuple[float, ...] = NO_ARC
         if self.motion >= 2 and arc_words is not None:
-            self.demand(not machine, 'an arc in machine coordinates; write G0 or G1', 'G53')
+            self.demand(
+                not machine, 'arcs cannot be given in machine coordinates; write G0 or G1', 'G53'
+            )
             arc = self._arc(target, arc_words)
         elif self.motion >= 2:
             raise self.fault(FAULTS[1])
@@ -84,7 +86,7 @@ class Mover(ArcTargets):
             self.switch_tcp(by_machine)
 
     def _begins_here(self, words: BlockWords) -> bool:
-        """Return whether a first block with a feed leads from where the tool stands."""
+        """Return whether the first block is a cutting motion from the present tool position."""
         usual = 'IC' if self.incremental else ''
         letters = words.values.keys() & {'X', 'Y', 'Z', *self.rotary_letters}
         counts = any(words.ways.get(letter, usual) == 'IC' for letter in letters)
@@ -217,7 +219,11 @@ class Mover(ArcTargets):
             'needs S, the speed in rev/min',
             code,
         )
-        self.demand(self.vector is None, 'needs rotary words before, not directions', code)
+        self.demand(
+            self.vector is None,
+            'needs a tool axis given by rotary words before, not by a direction',
+            code,
+        )
         start, rotary = self.point, self.rotary
         way = point - start
         if self.tcp:
@@ -240,7 +246,9 @@ class Mover(ArcTargets):
         frames = self.frames
         if self.tcp and frames.length and np.abs(self.tool_axis - frames.along).max() > SAME_AXIS:
             if self.held is not None or self.corner.size:
-                raise self.fault('a corner beside a turn of the tool; post it as moves', 'RND')
+                raise self.fault(
+                    'the corner cannot adjoin a turn of the tool; post it as moves', 'RND'
+                )
             before = frames.along
             self.aim()
             self.point = self.point + frames.length * (frames.along - before)

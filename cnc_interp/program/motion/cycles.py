@@ -183,7 +183,7 @@ class CannedCycle:
     def _refuse(self, mover: Mover, words: BlockWords) -> None:
         mover.refuse_if(
             mover.by_axes and mover.rotary.any() and mover.frames.rotated,
-            'a cycle in a rotated frame without tool-tip programming',
+            'a cycle in a rotated frame needs tool-tip programming',
             self.code,
         )
         turns = not words.values.keys().isdisjoint(mover.rotary_letters)

@@ -110,7 +110,7 @@ class HeidenhainReader(ProgramReader):
             ) from None
 
     def _passes(self, line: str, forms: tuple[_Form, ...]) -> bool:
-        """Execute a line that has one of some forms; False if it has none of them."""
+        """Execute a line in one of several forms; return False if it has another form."""
         for pattern, act in forms:
             if match := pattern.fullmatch(line):
                 act(self, match)

@@ -89,11 +89,13 @@ class HeidenhainFrames:
             return
         self._refuse_if(
             mover.tcp or mover.oriented or self._turn is not None,
-            'with tool-tip programming or a tilted plane; post the path itself',
+            'not possible with tool-tip programming or a tilted plane; post the path itself',
             cycle,
         )
         self._demand(
-            not (mirrors and centre.any()), 'a mirrored axis and the centre of a scale', cycle
+            not (mirrors and centre.any()),
+            'not possible with a mirrored axis and a centre; cancel the mirroring first',
+            cycle,
         )
         mover.end_corner()
         frames.mirrors, frames.scale, frames.scale_centre = mirrors, scale, centre

@@ -59,8 +59,8 @@ HARMLESS_G: dict[str, str] = {
     'G187': 'no effect, the path is always smoothed within the tolerances',
     'G96': 'no effect, the spindle is not driven',
     'G97': 'no effect',
-    **dict.fromkeys(('G450', 'G451'), 'outer corners are rolled about'),
-    **dict.fromkeys(('G601', 'G602', 'G603'), 'every exact stop is exact'),
+    **dict.fromkeys(('G450', 'G451'), 'the cutter rolls around outer corners'),
+    **dict.fromkeys(('G601', 'G602', 'G603'), 'no effect, exact stops are always exact'),
 }
 
 #: Harmless codes with words that give them another meaning, by code: the letters, and the reason.
@@ -99,7 +99,7 @@ REFUSED_G: dict[str, str] = {
 NOT_YET = 'no wait before the first motion'
 WAITS_FIRST = 'the machine waits for cycle start before it goes to the start of the path'
 DWELL = 'exact stop; the dwell time is not kept'
-ANY_DWELL = 'P is seconds or ms; its time is not kept, choose --dialect or write X'
+ANY_DWELL = 'P may be s or ms, so its time is not kept; choose --dialect or write X'
 #: Notices of arcs that fit in one interpretation only, by keys of ``arcs.FAULTS``.
 CENTRES_TOLD = {
     8: 'taken as the place of the centre: no other reading fits the arcs (--arc-centres absolute)',

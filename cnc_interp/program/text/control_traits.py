@@ -128,7 +128,7 @@ def _told_form(source: Source) -> str:
 
 
 def is_program(source: Source) -> bool:
-    """Return whether a line begins as one of a program does, or has words of one control only."""
+    """Return whether a line begins like a program line, or has words of only one control."""
     text = _head(source)
     return bool(_told_form(source)) or any(sign.search(text) for _, sign in _SIGNS)
 
@@ -160,7 +160,7 @@ def dialect_of(source: Source, chosen: str) -> tuple[Dialect, str]:
     if len(told) == 1:
         return next(iter(told.items()))
     if told:
-        return PLAIN, f'words of several: {", ".join(told.values())}'
+        return PLAIN, f'it has words of several controls: {", ".join(told.values())}'
     suffix = Path(source.name).suffix.lower()
     if suffix in _SUFFIXES:
         return _SUFFIXES[suffix], f'by its suffix {suffix}'

@@ -83,7 +83,7 @@ Fault = Callable[[str, str, DependsOn], ProgramError]
 
 
 def without_comments(line: str, fault: Fault) -> str:
-    """Remove comments; a parenthesis after an operator or a name is none, as in CYCLE832(...)."""
+    """Remove comments, but keep parentheses after operators or names, as in CYCLE832(...)."""
     if ';' not in line and '(' not in line:
         return line
     kept, at, size, quoted, depth = [], 0, len(line), False, 0

@@ -151,7 +151,7 @@ def lacking(
     rho: FloatArray | float,
     free: BoolArray | bool = True,
 ) -> FloatArray:
-    """Return what three derivatives of D lack to those of rho o [m]; rho follows D where free."""
+    """Return the first three derivatives of rho o - D [m]; rho follows D where it is free."""
     d1, d2, d3 = d
     o1, o2, o3 = turning
     free = np.asarray(free)[..., None]

@@ -82,7 +82,7 @@ class Style:
 
     @staticmethod
     def of(settings: Settings) -> Style:
-        """Return the construction of corners that the settings ask for."""
+        """Return the construction of corners that the settings select."""
         literal, method = settings.corner == 'paper', settings.parametrization
         if method == 'auto':
             method = 'paper' if literal else 'exact'

@@ -300,7 +300,7 @@ class Compressor:
 
 
 class Made(NamedTuple):
-    """A row that is made: what it has in another way than its vertex."""
+    """A row that replaces a vertex; values that it lacks are those of the vertex."""
 
     vertex: int  #: Its vertex of the skeleton.
     pose: FloatArray | None  #: (6,): Where it ends, if not at the vertex.

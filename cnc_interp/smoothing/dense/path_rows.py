@@ -36,10 +36,10 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
 def settled(blocks: Blocks, before: Blocks, height: float) -> Blocks:
     """Put the end of each block that does not move on the end of the block before it.
 
-    So the path goes on from there without a step. The way counts from the last end that moved:
-    small steps may add up to a motion. The next block takes the tolerances where they are smaller:
-    both corners are one. ``before`` has the last two rows of the call before, and comes first in
-    what is returned.
+    So the path continues from there without a step. Small steps may add up to a motion, so the way
+    is measured from the last end that moved. The next block takes the smaller tolerances of both,
+    because their corners have become one. ``before`` has the last two rows of the call before, and
+    comes first in what is returned.
     """
     rows = Blocks.concatenate([before, blocks])
     still = np.append(False, way_between(rows[:-1], rows[1:], height) < STANDSTILL)

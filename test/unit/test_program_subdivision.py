@@ -18,8 +18,8 @@ class TableAC:
     """A table-tilting AC machine, both rotary axes through the workpiece zero."""
 
     axis_names, rotary_names = ('X', 'Y', 'Z', 'A', 'C'), ('A', 'C')
-    extra_names, extra_direction, control, signals = (), (), {}, Signals()
-    tool_change_macro = ''
+    extra_names, extra_direction, control, signals = (), np.zeros((0, 3)), {}, Signals()
+    tool_change_macro, arm = '', None
     is_linear = np.array([True, True, True, False, False])
     singular_cone = np.radians(0.02)
 

@@ -19,7 +19,7 @@ class TableAC:
 
     axis_names, rotary_names = ('X', 'Y', 'Z', 'A', 'C'), ('A', 'C')
     extra_names, extra_direction, control, signals = (), np.zeros((0, 3)), {}, Signals()
-    tool_change_macro, arm = '', None
+    tool_change_macro, arm, scale = '', None, 1.0
     is_linear = np.array([True, True, True, False, False])
     singular_cone = np.radians(0.02)
 

@@ -31,6 +31,7 @@ from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
 from cnc_interp.proof.functions import MISSING
 from cnc_interp.proof.plan_files import BY_OPERATOR, BY_PROBE
+from cnc_interp.run.clearance_stage import ClearanceStage
 from cnc_interp.run.overrides import OperatorSettings, OverrideStep
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_state import NO_RUN, RunId
@@ -326,8 +327,13 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
     row = run.start_row(machine, blocks)
     start = StartLine(settings.from_line, settings.line_pass, run.name, row)
     finder = StartFinder(Transform.of(machine), run.flank_height, start)
+    clearance = ClearanceStage.of(machine, settings, run.setup)  # a record has no certificates
     with PlanWriter(directory, machine, settings) as writer:
-        writer.blocks(finder.blocks(blocks))
+        functions, writer.acted = run.functions(machine)
+        writer.functions = finder.functions(functions) if row > 1 else functions
+        writer.blocks(own := finder.blocks(blocks))
+        if clearance is not None:
+            clearance.rows(own, writer.functions)
         for first in range(0, len(run.segments), BATCH):
             segments = messages.segments_from(run.segments[first : first + BATCH])
             writer.segments(finder.segments(segments))
@@ -337,13 +343,16 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
             way.advance(float(path.s[0]), float(path.s[-1]))
             fine = refine(path, grid_points(path, way.some()))
             writer.path(fine, way.feed(fine.s[:-1]))
+            if clearance is not None:
+                writer.certificates(clearance.check(fine))
         for samples in run.setpoints(machine):
             writer.setpoints(finder.setpoints(samples))
         for one in run.followed:
             position = np.reshape(one.positions, (len(one.angles), -1))
             writer.followed(one.sequence, one.ramp, one.later, np.array(one.angles), position)
-        functions, writer.acted = run.functions(machine)
-        writer.functions = finder.functions(functions) if row > 1 else functions
+        if clearance is not None:
+            writer.figures.clearance = clearance.summary()
+            writer.stock(clearance.stock_columns())
         if row > 1:
             block = StartBlock(settings.from_line, row, 1, settings.line_pass, ())
             writer.figures.start = finder.place(block)

@@ -300,7 +300,9 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
         told = 'of X Y Z, compensated at the tip; the tool axis keeps its error'
         rows.append(Given('errors', told, f'{file} with its tables', digest_of(columns)))
     if scene := plan.settings.get('scene'):
-        found = Path(str(scene))
+        from cnc_interp.collision.scene_file import find_scene_file  # loaded with a scene only
+
+        found = find_scene_file(str(scene))
         content = found.read_bytes() if found.is_file() else b''
         told = f'{len(plan.collision.get("begin", ()))} certificates and hits'
         digest = hashlib.sha256(content).hexdigest()[:DIGITS]

@@ -137,6 +137,20 @@ def test_the_run_as_recorded_is_proven(recorded, tmp_path):
     assert proven(copy.deepcopy(recorded), tmp_path)
 
 
+def test_a_run_beside_bodies_is_proven_unless_it_hits_one(recorded, tmp_path):
+    run, file = copy.deepcopy(recorded), tmp_path / 'scene.yaml'
+    entry = next(pair for pair in run.blocks[0].settings if pair.key == 'scene')
+    entry.value = str(file)
+    x, y, z = (run.blocks[len(run.blocks) // 2].tip * 1e3).tolist()
+    found = []
+    for beside in (500.0, 0.0):
+        low, high = ([x + d + beside, y + d, z + d] for d in (-5.0, 5.0))
+        body = f'{{name: clamp, link: workpiece, box_mm: {{low: {low}, high: {high}}}}}'
+        file.write_text(f'include: xyzac\nbodies:\n  - {body}\n')
+        found.append(proven(run, tmp_path / f'{beside:g}'))
+    assert found == [True, False]
+
+
 @pytest.mark.parametrize('name', TABLE)
 def test_manipulated_runs(name, recorded, tmp_path):
     assert not proven(TABLE[name](copy.deepcopy(recorded)), tmp_path)

@@ -45,7 +45,7 @@ class OffsetChange:
             for letter, (was, now) in shown.items()
             if was != now
         ]
-        return f'{self.name} {", ".join(words) or "changed by less than is shown"}'
+        return f'{self.name} {", ".join(words) or "changed by less than the last digit shown"}'
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def learnt_rates(
     """Return the learnt feed-forward for the next run, (K, n_axes) [m, rad, per s].
 
     ``lead``: delay of all axes [s]; ``setpoints``: from ``with_hold``; ``feedback`` (F, n_axes):
-    after its end the error is held; ``before``: the learnt feed-forward of that run.
+    positions of the last run, after which its last error is held; ``before``: its feed-forward.
     """
     errors = late(setpoints, lead / period)[: len(feedback)] - feedback
     held = np.repeat(errors[-1:], len(setpoints) - len(errors), axis=0)

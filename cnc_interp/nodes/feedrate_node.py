@@ -127,14 +127,13 @@ class FeedrateNode(LifecycleNode):
         self._session = PlanningSession(self, period, values['plan_ahead'])
         self._inlet = Inlet(
             self,
-            WindowedReceiver('segments', values['segment_window']),
+            WindowedReceiver('segments', values['segment_window'], self._gives_way),
             {'segments': PathSegmentBatch},
             self._check,
             self._take,
             self._session.end_path,
             self._diagnostics,
             gate=attrgetter('segments'),
-            gives_way=lambda _: not self._session.executing,
         )
         count = len(self._transform.machine.axis_names)
         watch_machine(self, self._see_machine, count, self._diagnostics)
@@ -161,6 +160,9 @@ class FeedrateNode(LifecycleNode):
         self._session.see_machine(report)
         if self._inputs.see(state):
             self._work()  # settings also affect motion that is planned already
+
+    def _gives_way(self, _: str) -> bool:
+        return not self._session.executing
 
     def _check(self, segment: PathSegment) -> None:
         if not self._active:

@@ -132,14 +132,14 @@ class LookaheadNode(Node):
         check = partial(check_block, extra_count=len(machine.extra_names), signals=machine.signals)
         self._inlet = Inlet(
             self,
-            WindowedReceiver('blocks', values['block_window']),
+            # program_node sends one program after another.
+            WindowedReceiver('blocks', values['block_window'], 'block_batches'.__eq__),
             {'blocks': G1Block, 'block_batches': G1BlockBatch},
             check,
             self._take,
             self._end,
             self._diagnostics,
             gate=self._blocks_of,
-            gives_way='block_batches'.__eq__,  # program_node sends one program after another
         )
         self._pace = Pace(self, WORK_PERIOD, self._work)
 

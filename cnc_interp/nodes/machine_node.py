@@ -74,14 +74,13 @@ class MachineNode(LifecycleNode):
         self._gate = JoinGate(round(JOIN_RESERVE / self._period))
         self._inlet = Inlet(
             self,
-            WindowedReceiver('setpoints', window),
+            WindowedReceiver('setpoints', window, lambda _: self._has_not_begun),
             {'setpoints': SetpointChunk},
             self._check,
             self._take,
             self._see_refusal,
             self._diagnostics,
             gate=self._pass,
-            gives_way=lambda _: self._has_not_begun,
         )
         self._inlet.buffered_time = 0.0
         self._coming = NO_RUN  # was started, but no setpoint of it has come yet

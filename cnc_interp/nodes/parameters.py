@@ -14,7 +14,7 @@ from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
 
 def of_settings(*stages: Stage) -> tuple[Declared, ...]:
-    """Declare the settings of some stages; 0 or empty means that an optional one is not given."""
+    """Declare the settings of given stages; 0 or empty: this optional setting is not given."""
     return tuple(declared(choice) for choice in choices(Settings, *stages))
 
 

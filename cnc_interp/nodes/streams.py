@@ -92,13 +92,11 @@ class Inlet:
         on_refusal: Callable[[], None],
         diagnostics: Diagnostics,
         gate: Callable[[Any], list[Any]] = lambda message: [message],
-        gives_way: Callable[[str], bool] = lambda topic: False,
     ):
-        """``gives_way``: whether the run gives way to the next one on its topic."""
         self.receiver = receiver
         self.buffered_time = math.nan
         self._check, self._on_message, self._on_refusal = check, on_message, on_refusal
-        self._gate, self._gives_way = gate, gives_way
+        self._gate = gate
         self._diagnostics, self._logger = diagnostics, node.get_logger()
         self._told: tuple[Any, ...] = ()
         self._told_at = -math.inf
@@ -149,7 +147,7 @@ class Inlet:
             program = receiver.run_id.program_id
             run_id, _, _, begins = numbers_of(passed)
             new = begins and run_id.program_id != program and topic == self._topic
-            if new and self._gives_way(topic):
+            if new and receiver.gives_way(topic):
                 receiver.make_way(run_id)
             if program == run_id.program_id and topic != self._topic:
                 self._ears[topic].ignore(f'is for the run that comes on {self._topic}')

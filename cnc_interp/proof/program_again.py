@@ -77,7 +77,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         if not holds:
             raise InterpError(f'{program}: {why_not}')
 
-    unknown = 'which no second reader knows; this program cannot be compared'
+    unknown = 'which the second readers do not support; this program cannot be compared'
     shortest = settings.get('rotary_sense') == 'shortest'
     demand(not shortest, f'planned with --rotary-sense shortest, {unknown}')
     for name, usual in (('arc_centres', 'start'), ('units', 'mm'), ('numbers', 'units')):

@@ -115,7 +115,8 @@ class Choice:
         if isinstance(value, bool):
             return 'true' if value else 'false'
         if isinstance(value, Path):
-            return str(value.resolve() if value.exists() else value)  # or a bundled name
+            bundled = not value.suffix and not value.exists()  # a name
+            return str(value if bundled else value.resolve())
         return repr(float(value)) if self.kind is float else str(value)
 
     def from_text(self, text: str, need_unit: bool = False) -> Any:

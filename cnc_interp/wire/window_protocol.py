@@ -7,6 +7,7 @@ the first missing item, and later ones only once the receiver reports that they 
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -128,10 +129,15 @@ class WindowedSender(Generic[Item]):
 
 
 class WindowedReceiver:
-    """The receiving end; ``window``: how many numbers may be sent beyond the last consumed."""
+    """The receiving end; ``window``: how many numbers may be sent beyond the last consumed.
 
-    def __init__(self, stream: str, window: int):
-        self.stream, self.window = stream, window
+    ``gives_way``: whether the run on a topic gives way to the next one there.
+    """
+
+    def __init__(
+        self, stream: str, window: int, gives_way: Callable[[str], bool] = lambda topic: False
+    ):
+        self.stream, self.window, self.gives_way = stream, window, gives_way
         self.run_id = NO_RUN
         self.next_number = 0
         self.consumed = 0

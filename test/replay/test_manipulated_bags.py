@@ -18,6 +18,7 @@ from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 
 HELD = Path(__file__).parent / 'held'
+TOOL = 'tools:\n  1: {diameter_mm: 6, flute_mm: 12, holder_mm: [[20, 5], [40, 15]]}\n'
 
 
 @pytest.fixture(scope='module')
@@ -146,7 +147,7 @@ def test_a_run_beside_bodies_is_proven_unless_it_hits_one(recorded, tmp_path):
     for beside in (500.0, 0.0):
         low, high = ([x + d + beside, y + d, z + d] for d in (-5.0, 5.0))
         body = f'{{name: clamp, link: workpiece, box_mm: {{low: {low}, high: {high}}}}}'
-        file.write_text(f'include: xyzac\nbodies:\n  - {body}\n')
+        file.write_text(f'bodies:\n  - {body}\n{TOOL}')
         found.append(proven(run, tmp_path / f'{beside:g}'))
     assert found == [True, False]
 

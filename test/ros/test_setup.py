@@ -157,8 +157,8 @@ def test_what_a_running_program_uses_is_not_changed(bench):
             told
             == f'{name} is used by <text>, which is running; change it when the program has ended'
         )
-    assert 'in use' in bench.refused('touch_off', axes=['X'], values=[0.0])
-    assert 'in use' in bench.refused('set_tool', number=1, load=True)
+    assert 'is used by' in bench.refused('touch_off', axes=['X'], values=[0.0])
+    assert 'is used by' in bench.refused('set_tool', number=1, load=True)
     bench.do('set_offset', offset='G59.3', axes=['X'], values=[0.01])
     assert list(bench.told[-1].in_use) == ['G54', 'G55', 'G92']
     assert bench.press('reset').success

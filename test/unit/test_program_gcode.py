@@ -22,8 +22,8 @@ class ThreeAxes:
     """A machine without rotary axes."""
 
     axis_names, rotary_names = ('X', 'Y', 'Z'), ()
-    extra_names, extra_direction, control, signals = (), (), {}, Signals()
-    tool_change_macro = ''
+    extra_names, extra_direction, control, signals = (), np.zeros((0, 3)), {}, Signals()
+    tool_change_macro, arm, scale = '', None, 1.0
     is_linear = np.ones(3, dtype=bool)
 
     @property

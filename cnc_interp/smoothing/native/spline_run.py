@@ -1,4 +1,4 @@
-"""One native 5-axis B-spline: from control points to smooth segments, in any batches.
+"""One native 5-axis B-spline: from control points, in batches of any size, to smooth segments.
 
 Each span of the pair of cubic B-splines becomes exactly one SPLINE segment. The curve may meet a
 line, or its own next span at a repeated knot. There the jets of both sides are compared. If they

@@ -126,7 +126,12 @@ def _compile(machine: Machine) -> None:
 
 def machine_of(options: argparse.Namespace) -> Machine:
     """Return the machine; if the workpiece is shifted, write its file to the plan files."""
-    from cnc_interp.machine_model.machine import Machine, placed_machine, with_guessed_limits
+    from cnc_interp.machine_model.machine import (
+        Machine,
+        placed_machine,
+        with_guessed_limits,
+        without_topic,
+    )
 
     shift = options.place_x, options.place_y, options.place_z
     if not all(math.isfinite(value) for value in (*shift, options.turn)):
@@ -134,7 +139,7 @@ def machine_of(options: argparse.Namespace) -> Machine:
     if options.limits == 'guess':
         return with_guessed_limits(options.machine, options.out / 'machine.yaml')
     if not any((*shift, options.turn)):
-        return Machine.load(options.machine)
+        return Machine.load(without_topic(options.machine, options.out / 'machine.yaml'))
     return placed_machine(options.machine, shift, options.turn, options.out / 'machine.yaml')
 
 
@@ -295,13 +300,19 @@ def run_command(options: argparse.Namespace) -> int:
     load_nodes()  # in another process, while this one imports the rest
     from cnc_interp.client.run_request import RunRequest
     from cnc_interp.client.session import run_session
+    from cnc_interp.machine_model.machine import without_topic
+    from cnc_interp.processes.temporary_folder import TemporaryFolder
 
-    beside = None
-    if options.panel:
-        from cnc_interp.page.command import PanelBeside
+    with TemporaryFolder() as folder:
+        options.machine = without_topic(
+            options.machine, (options.out or Path(folder)) / 'machine.yaml'
+        )
+        beside = None
+        if options.panel:
+            from cnc_interp.page.command import PanelBeside
 
-        beside = PanelBeside(options)
-    results = run_session(RunRequest.from_options(options), beside, process_start())
+            beside = PanelBeside(options)
+        results = run_session(RunRequest.from_options(options), beside, process_start())
     if options.json:
         found = [result.to_json() for result in results]
         print(json.dumps(found if options.then else found[0], indent=2))

@@ -4,8 +4,11 @@ The last six joints are those of the arm. Joints before them, a rail or a positi
 axes of the program: U, V, W slide, and E1, E2, E3 turn.
 """
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -36,6 +39,7 @@ from cnc_interp.machine_model.machine_entries import (
 )
 
 LONGEST_URDF = 1 << 22  #: [bytes].
+TOPIC = 'topic '  #: Begin of ``urdf`` if it names a topic of ROS instead of a file.
 #: Guessed times in which a joint reaches its largest velocity and acceleration [s].
 GUESS = (0.4, 0.1)
 ORDERS = ('velocity', 'acceleration', 'jerk')
@@ -204,13 +208,25 @@ def _robot(content: dict[str, Any], folder: Path) -> tuple[str, ElementTree.Elem
     given = str(content['urdf'])
     try:
         text = given
-        if not given.lstrip().startswith('<'):
+        if given.startswith(TOPIC):
+            text = _published(given.removeprefix(TOPIC).strip())
+        elif not given.lstrip().startswith('<'):
             text = small_text(folder / given, LONGEST_URDF)
         if '<!ENTITY' in text:
             raise UnreadableError('it defines entities')
         return text, ElementTree.fromstring(text)
     except (OSError, UnreadableError, ElementTree.ParseError, ValueError) as problem:
         raise MachineError(f'{given[:80]}: cannot be read as URDF: {problem}', 'urdf') from None
+
+
+@cache
+def _published(topic: str) -> str:
+    """Return the last text of a topic, which another process hears: planning needs no ROS."""
+    command = [sys.executable, '-m', 'cnc_interp.client.robot_description', topic]
+    heard = subprocess.run(command, capture_output=True, text=True, check=False)
+    told = heard.stderr.strip().splitlines() or ['']
+    demand(heard.returncode == 0, told[-1], 'urdf')
+    return heard.stdout
 
 
 def _frame(content: dict[str, Any], key: str) -> str:

@@ -17,7 +17,7 @@ from cnc_interp.core import DEG, MINUTE, MM, UM, BoolArray, FloatArray, MachineE
 from cnc_interp.core.axis_limits import AxisLimits, DriveLoad, Limits
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml, write_whole
 from cnc_interp.machine_model import machine_entries as entries
-from cnc_interp.machine_model.arm_entries import Arm, arm, without_files
+from cnc_interp.machine_model.arm_entries import TOPIC, Arm, arm, without_files
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
     AxisDrive,
@@ -454,6 +454,15 @@ def whole_text(name: str) -> str:
     if not {'urdf', 'errors', entries.TOOL_CHANGE} & set(read_yaml(found)):
         return found.read_text(encoding='utf-8')
     return str(yaml.safe_dump(content_of(name), sort_keys=False))
+
+
+def without_topic(name: str, file: Path) -> str:
+    """Return a machine; if its URDF is on a topic, a copy of its file with the URDF inside."""
+    Machine.load(name)  # refuses what is no machine file
+    if str(read_yaml(find_machine_file(name)).get('urdf')).startswith(TOPIC):
+        _write(content_of(name), file)
+        return str(file)
+    return name
 
 
 def with_guessed_limits(name: str, file: Path) -> Machine:

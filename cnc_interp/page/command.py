@@ -18,9 +18,10 @@ from cnc_interp.client import session
 from cnc_interp.client.run_request import START_HEIGHT, RunResult
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import without_topic
 from cnc_interp.page.origin import PARENT, Revive
 from cnc_interp.processes.node_processes import NODES, Children
+from cnc_interp.processes.temporary_folder import TemporaryFolder
 
 if TYPE_CHECKING:
     from cnc_interp.page.server import Served
@@ -51,8 +52,10 @@ def run_panel(options: Namespace) -> None:
     if options.attach:
         until_asked(served, options.namespace, domain, dict)
         return
-    Machine.load(options.machine)  # a wrong name is reported before anything starts
-    machine = f"'{options.machine}'"
+    folder = TemporaryFolder()
+    # A wrong name is reported before anything starts.
+    name = without_topic(options.machine, Path(folder.name) / 'machine.yaml')
+    machine = f"'{name}'"
     parameters: dict[str, dict[str, object]] = {name: {'machine': machine} for name in NODES}
     if options.drives.get('drives', 'simulated') == 'simulated':
         parameters['machine_node']['start_height'] = START_HEIGHT
@@ -66,7 +69,8 @@ def run_panel(options: Namespace) -> None:
     if options.setup is not None:
         for name in ('program_node', 'feedrate_node', 'machine_node'):
             parameters[name]['setup'] = f"'{options.setup.resolve()}'"
-    with Children(options.namespace, domain, parameters, session.nodes_file()) as children:
+    nodes = Children(options.namespace, domain, parameters, session.nodes_file())
+    with folder, nodes as children:
         print(
             f'ROS domain     {domain}: give it to commands: cnc-interp mdi --domain {domain}',
             flush=True,

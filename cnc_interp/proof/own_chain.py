@@ -9,12 +9,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cnc_interp.core import DEG, MM, FloatArray, InterpError
-from cnc_interp.core.small_files import read_yaml, small_text
-from cnc_interp.machine_model.machine import Machine, find_machine_file
+from cnc_interp.machine_model.machine import Machine, content_of
 from cnc_interp.machine_model.transform_port import Transform
 
 ARM = 6  #: Number of joints of an arm.
-LONGEST = 1 << 22  #: Longest URDF [bytes].
 
 
 class Forward(Protocol):
@@ -38,11 +36,8 @@ class OwnChain:
 
     @staticmethod
     def of(machine: Machine) -> OwnChain:
-        file = find_machine_file(machine.file or machine.name)
-        content = read_yaml(file)
-        given = content['urdf']  # the name of a file, or all of it
-        text = given if '<' in given else small_text(file.parent / given, LONGEST)
-        robot = ElementTree.fromstring(text)
+        content = content_of(machine.file or machine.name)
+        robot = ElementTree.fromstring(content['urdf'])
         links = _Links(
             {joint.find('child').attrib['link']: joint for joint in robot.findall('joint')}  # type: ignore[union-attr]
         )

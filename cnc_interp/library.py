@@ -156,7 +156,7 @@ class Plan:
 
 
 def _names_a_file(text: str) -> bool:
-    """Tell a path from a program; with a suffix of letters it is one, even if there is no file."""
+    """Return whether a text is a file name: of an existing file, or with a suffix of letters."""
     short = '\n' not in text and len(text) < LONGEST_NAME
     return short and (Path(text).is_file() or Path(text).suffix[1:].isalpha())
 

@@ -81,7 +81,7 @@ class Needles:
         return GROUP // wide, wide
 
     def groups(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return needles ordered by group, the begins of groups, and a ball around each [m]."""
+        """Return needles ordered by group, the start of each group, and a ball around it [m]."""
         rows, columns = self.shape
         index = np.arange(rows * columns).reshape(rows, columns)
         tall, wide = self.group_size()

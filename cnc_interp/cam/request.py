@@ -38,7 +38,7 @@ class CutRequest:
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Self:
-        """Make a request of the options of the command line, which have the units of the shop."""
+        """Make a request from command-line options, which are in shop units."""
         names = {field.name for field in fields(cls)}
         found = {n: v * UNITS[n] if n in UNITS else v for n, v in options.items() if n in names}
         mill = options['tool_diameter'] * MM, options['corner_radius'] * MM

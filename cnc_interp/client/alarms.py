@@ -55,7 +55,7 @@ class AlarmList:
         return [alarm for alarm in self.history if alarm not in self._cleared]
 
     def clear(self) -> None:
-        """Hide the present alarms; they stay in the history."""
+        """Hide the current alarms; they stay in the history."""
         self.hide(lambda _: True)
 
     def hide(self, gone: Callable[[Alarm], bool]) -> None:
@@ -87,7 +87,7 @@ class AlarmList:
         self._alarms.append(alarm)
 
     def hear(self, status: DiagnosticStatus) -> None:
-        """Take the present reports of a part of a node; they replace its earlier ones."""
+        """Store the current reports of one part of a node in place of its earlier ones."""
         news = (status.level, status.message)
         if self._last.get(status.name) == news:
             return

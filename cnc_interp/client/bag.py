@@ -168,7 +168,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def why(fault: Exception) -> str:
-    """Say in a line why a file cannot be read."""
+    """Return a one-line reason why a file cannot be read."""
     if isinstance(fault, MemoryError):
         return 'it would unpack to far more than a file of this length can hold'
     return ' '.join(str(fault).split())[:200] or type(fault).__name__

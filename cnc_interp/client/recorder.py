@@ -87,7 +87,7 @@ class StreamRecord:
                 self._joins[run_id] = first
 
     def acknowledge(self, run_id: RunId, reached: int) -> None:
-        """Note a number that the stream has reached; the record needs it too."""
+        """Note that the stream has reached a number, which the record must then contain."""
         first, last = self._received.get(run_id, (reached, reached))
         self._received[run_id] = first, max(last, reached)
 

@@ -37,7 +37,7 @@ class RunRequest:
 
     @staticmethod
     def from_options(options: Namespace) -> RunRequest:
-        """Take the options of the command line, in the shop's units."""
+        """Make a request from command-line options, which are in shop units."""
         return RunRequest(
             options.program,
             tuple(options.then),

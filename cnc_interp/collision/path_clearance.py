@@ -102,7 +102,7 @@ class PathClearance:
         return CutStock(self.placed, self._space)
 
     def call_tools(self, functions: Functions) -> None:
-        """Take the functions of the program so far; they contain the tool changes."""
+        """Receive the program's functions up to this part, including tool changes."""
         signals = self.machine.signals
         names = [signals.outputs[step.output].name for step in signals.steps]
         calls = np.flatnonzero([names[step] in TOOL_OUTPUTS for step in functions.step])

@@ -15,7 +15,7 @@ from cnc_interp.core import FloatArray, IntArray
 def triangle_tree(triangles: FloatArray, round: float = 0.0) -> tuple[list[Piece], IntArray]:  # noqa: A002
     """Return pieces, the root first, and the children of each, (n, 2); -1 for a triangle.
 
-    ``triangles`` (m, 3, 3): corners [m]. ``round``: by how much each triangle is grown [m].
+    ``triangles`` (m, 3, 3): corners [m]. ``round``: growth of each triangle [m].
     """
     low, high = triangles.min(axis=1) - round, triangles.max(axis=1) + round
     middle = 0.5 * (low + high)

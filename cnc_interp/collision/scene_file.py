@@ -364,7 +364,7 @@ class _Reading:
         return triangles_of(file, UNITS[unit], chord), chord if step else 0.0
 
     def _turn(self, given: dict[str, Any], name: str) -> tuple[FloatArray, FloatArray]:
-        """Return rotation and shift of a body in its link; rotations are about X, Y, then Z."""
+        """Return the pose of a body in its link: rotations about X, Y, then Z, and a shift."""
         angles = given.get('turn_deg', [0.0, 0.0, 0.0])
         if not isinstance(angles, list) or len(angles) != 3:
             raise self.fault(name, 'turn_deg must be three angles about X, Y and Z')

@@ -361,7 +361,7 @@ def excitation(machine: Machine) -> str:
 
 
 def _moves(axis: Axis) -> Iterator[tuple[float, float]]:
-    """Yield way [m or rad] and speed of each move; the ways add up to zero."""
+    """Yield distance [m or rad] and speed of each move; the distances add up to zero."""
     v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
     room = ROOM * min(abs(axis.travel[0]), abs(axis.travel[1]))
     if not room > 0.0:

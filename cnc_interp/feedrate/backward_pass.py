@@ -24,7 +24,7 @@ ROUNDING = 1e-7  #: Share of the largest b that is added: the solver has fixed s
 
 
 class _Steps(AbstractGeometricPath):  # type: ignore[misc]
-    """A path of n steps as toppra wants it; its geometry stands in the rows."""
+    """A path of n steps in the form that toppra expects; the rows contain its geometry."""
 
     def __init__(self, n: int):
         self.n = n

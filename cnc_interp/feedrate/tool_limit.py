@@ -1,8 +1,9 @@
 """A limit on the error that the drives leave at the tool: rows for the jerk stage, and a check.
 
-In slow motion the axes have the error e = c1 q' + c2 q'' - sign(q') away, and the tip the error
-J e with J = dp/dq (``drives/tool_error.py``). Only its part across the path counts, along normals
-n of the tip's way. With q' = q_s s_dot and q'' = q_s s_ddot + q_ss s_dot^2, a normal has the row
+In slow motion the axes have the error e = c1 q' + c2 q'' - sign(q') away, and the tip the error J
+e with J = dp/dq (``drives/tool_error.py``). Only the component across the path counts, along
+normals n of the tip path. With q' = q_s s_dot and q'' = q_s s_ddot + q_ss s_dot^2, a normal has
+the row
 
     |n J (c2 q_s) s_ddot + n J (c2 q_ss) b + n J (c1 q_s) s_dot - n J (sign(q_s) away)| <= E.
 
@@ -10,9 +11,9 @@ The tool axis at flank height h has such rows, too. The tip is compared with the
 the path. So the axis is off by h (J_o - o_s (t J)) e, where t is the direction of the tip. Four
 normals make an octagon of the circle of radius E.
 
-These rows do not contain what follows a step of the jerk, a reversal or a mode. Therefore the
-drives are simulated on each law. Where the error exceeds the limit, the rows get a part of it, and
-the stretch is solved again, as after any other excess between the nodes.
+These rows neglect transients after a jerk step, a reversal, or in a flexible mode. Therefore the
+drives are simulated on each law. Where the error exceeds the limit, the limit of the rows is
+lowered and the stretch is solved again, as after any other excess between the nodes.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class Passages(ABC, Generic[Ahead]):
 
     @abstractmethod
     def _pass(self, path: Ahead, closed: bool) -> int:
-        """Decide the passages of a path between stops, as far as possible; return the segments."""
+        """Choose the passages of a path between stops, as far as possible; return its segments."""
 
     def _step_over(self, path: Ahead, i: int) -> None:
         """Skip a segment whose axes are coordinates of the path."""
@@ -41,9 +41,9 @@ class Passages(ABC, Generic[Ahead]):
         """Note that the first segments have been released."""
 
     def take(self, segments: PathSegments, motion: IntArray) -> Ahead:
-        """Take segments and the motion of their axes; return the segments that are decided.
+        """Accept segments with the motion of their axes; return the segments that are final.
 
-        Their deviation includes that of the passages.
+        The deviation of the segments includes that of the passages.
         """
         path = self._look_at(segments, motion)
         if self._waiting is not None:

@@ -1,4 +1,4 @@
-"""Segments that wait until their way past singular poses is decided.
+"""Segments that wait until their passage of singular poses is chosen.
 
 A place on them is given by path length [m], or by segment and parameter u.
 """

@@ -131,7 +131,7 @@ class AxisPathBuilder:
             self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
 
     def push(self, segments: PathSegments) -> AxisPath | None:
-        """Take segments; return the path of those decided, if any; BlockError names the line."""
+        """Accept segments; return the path of final ones, if any; BlockError names the line."""
         if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
             raise BlockError(
                 f'the path moves {segments.extra.shape[2]} extra axes, but machine '

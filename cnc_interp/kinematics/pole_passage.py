@@ -80,7 +80,7 @@ class PolePassages(Passages[PathAtPole]):
         self._stopped = bool(one.stop[i])
 
     def _pass(self, path: PathAtPole, closed: bool) -> int:
-        """Decide the passages of a path between stops, as far as possible; return the segments."""
+        """Choose the passages of a path between stops, as far as possible; return its segments."""
         ends, hold = path.ends, np.inf
         total = float(ends[-1])
         moves = bool((path.motion == FOLLOWING).any())

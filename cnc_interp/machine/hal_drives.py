@@ -287,7 +287,7 @@ class HalDrives(HomedDrives):
             raise DriveFaultError(CAUSES[hal_step.STOPPED])
 
     def _step_until(self, word: int, value: int) -> None:
-        """Run periods, while the clock does not, until a word of the memory has a value."""
+        """Run periods while the clock is stopped, until a memory word has a given value."""
         n, memory = len(self._names), self.memory.ctypes.data
         setpoint, feedback = np.zeros((2, n)), np.zeros((4, n))
 

@@ -60,7 +60,8 @@ class SimulatedSwitches:
 class WiredSwitches(SimulatedSwitches):
     """Switches on the inputs ``home_x`` ...; their release, or an index, defines the position.
 
-    Until then the axis is assumed to be at an end of its travel, so that it may move all the way.
+    Until then the axis is assumed to be at an end of its travel, so that it may move over all of
+    it.
     """
 
     def __init__(self, playback: Playback, drives: HomedDrives):
@@ -158,7 +159,7 @@ class Homing:
         self._jog.by_drives = False
 
     def know(self, axes: Sequence[str]) -> None:
-        """Take axes as homed, because their positions were kept without power."""
+        """Mark axes as homed, because their positions were kept without power."""
         self._unknown -= set(axes)
 
     def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:

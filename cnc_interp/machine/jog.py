@@ -68,7 +68,7 @@ class Jog:
     # What the operator asks for -----------------------------------------------------------------
 
     def beat(self, shares: Mapping[str, float], tool: float, now: float) -> float:
-        """Take a beat received at a steady time; raise StreamError if it cannot be followed.
+        """Process a beat received at a steady time; raise StreamError if it cannot be followed.
 
         ``shares``: velocity of each axis over its limit, -1 to 1; ``tool``: likewise along the
         tool.
@@ -99,7 +99,7 @@ class Jog:
     def move(
         self, values: Mapping[str, float], relative: bool, tool: float, speed: float
     ) -> FloatArray:
-        """Take a move; return the nominal axes at its end, (n_axes,), or raise StreamError.
+        """Accept a move; return the nominal axes at its end, (n_axes,), or raise StreamError.
 
         ``values``: target position of each moving axis. If ``relative``, its distance from the
         target of the current move, or from the present position. ``tool``: distance along the tool

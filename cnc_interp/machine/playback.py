@@ -172,7 +172,7 @@ class Playback:
         self.plans.empty()
 
     def shift(self, drives: HomedDrives, by: FloatArray) -> None:
-        """Renumber the axes at rest: add ``by`` to their positions [m, rad]. Nothing moves."""
+        """Shift the positions of the axes at rest by ``by`` [m, rad]. Nothing moves."""
         drives.shift(by)
         self._place(drives.position)
 
@@ -216,7 +216,7 @@ class Playback:
         self.plans.make_room(run_id, self.state)
 
     def begin_plan(self, run_id: RunId) -> None:
-        """Prepare for a new run, or for another plan of the run from the present rest."""
+        """Prepare for a new run, or for another plan of the run from where the axes rest."""
         if run_id.program_id != self.plans.run_id.program_id or self.state.completed:
             self.begin(run_id)
             return
@@ -551,7 +551,7 @@ class Playback:
         self.followed.append(Followed(*line, wanted, records.angle, self._later))
 
     def _pass_over(self) -> None:
-        """Count the setpoints of a line in step with the spindle as played."""
+        """Record the played setpoints of a line in step with the spindle."""
         progress, plans = self._progress, self.plans
         while progress.passing:
             if plans.current is None:

@@ -1,4 +1,4 @@
-"""What moves by hand: the axes, each for itself, or the tool along its own axis."""
+"""Slides for motion by hand: each axis alone, or the tool along its own axis."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TINY = 1e-12  #: Errors that bend less do not bend.
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """What moves by hand: m straight lines in the n axes, ``q = origin + x @ direction``.
+    """Slides for motion by hand: m straight lines in the n axes, ``q = origin + x @ direction``.
 
     The axes q are nominal ones; ``positions`` and ``motion`` are those of the drives.
     """
@@ -62,13 +62,13 @@ class Slides:
 
     @staticmethod
     def of_drives(machine: Machine) -> Slides:
-        """Return the axes of the drives, each its own slide; x is q."""
+        """Return one slide for each axis of the drives; x is q."""
         n = len(machine.axis_names)
         return Slides(np.zeros(n), np.eye(n), machine.limits.lowest)
 
     @staticmethod
     def of_axes(machine: Machine) -> Slides:
-        """Return the nominal axes likewise; with their limits the drives keep those of theirs."""
+        """Return one slide for each nominal axis; its limits keep those of the drives, too."""
         drives, errors = Slides.of_drives(machine), machine.errors
         if errors is None:
             return drives

@@ -1,7 +1,7 @@
 """Outputs that are set one after the other while the path rests, and outputs of a stop.
 
-Before an output is set, the interlocks of the machine file are checked. That happens only here,
-because every function that can break an interlock makes the path rest.
+Before an output is set, the interlocks of the machine file are checked. This room alone needs to
+check them, because every function that can break one makes the path rest.
 """
 
 from __future__ import annotations

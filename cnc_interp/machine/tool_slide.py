@@ -1,8 +1,8 @@
 """The tool along its own axis by hand: one coordinate, which X Y Z or the joints of an arm follow.
 
-The joints are a curve q(x), so the limits of x come from its three derivatives. They are the
-lowest along the travel, which ends before a joint leaves its own travel, or has to run much
-faster than where the motion begins, as near a singular pose.
+The joints are a curve q(x), so the limits of x come from its three derivatives. The lowest limits
+along the travel apply. The travel ends before a joint leaves its own, or has to run much faster
+than where the motion begins, as near a singular pose.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FASTER, MARGIN = 2.0, 0.9
 
 
 def along_tool(machine: Machine, stands: FloatArray) -> Slides:
-    """Return one slide along the tool axis, which the tool keeps; x = 0 at a nominal place."""
+    """Return the slide along the constant tool axis; x = 0 at a nominal position."""
     transform = Transform.of(machine)
     if isinstance(transform, JointChain):
         return ArmSlide.of(transform, stands)
@@ -54,7 +54,7 @@ class ArmSlide(Slides):
 
     @staticmethod
     def of(chain: JointChain, stands: FloatArray) -> ArmSlide:
-        """Return the slide of a tool from where the joints stand (n,) [rad]."""
+        """Return the slide of an arm's tool from the joint positions (n,) [rad]."""
         limits = chain.machine.limits.lowest
         chain = chain.spun(chain.spin_at(stands))
         tip, axis = (rows[0] for rows in chain.forward(stands[None]))

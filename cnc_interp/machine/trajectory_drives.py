@@ -53,7 +53,7 @@ class Controller(Protocol):
         """Return whether a controller receives trajectories."""
 
     def speed(self) -> float:
-        """Return the share of full speed at which it executes trajectories, as told last [-]."""
+        """Return the last reported speed of execution, as a share of full speed [-]."""
 
     def send(self, trajectory: Trajectory) -> None:
         """Send a trajectory that replaces the previous one."""
@@ -159,7 +159,7 @@ class TrajectoryDrives(DelayedDrives):
         self._controller.close()
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
-        """Take setpoints and send new ones to the controller; see ``drives.DelayedDrives``."""
+        """Accept setpoints, and send new ones to the controller; see ``drives.DelayedDrives``."""
         self._remember(played)
         news = self._news(stop) if self._on else None
         if news is not None:
@@ -183,7 +183,7 @@ class TrajectoryDrives(DelayedDrives):
         return self._zero + number * self._period + self._delay
 
     def _news(self, stop: AxisRows) -> int | None:
-        """Return the number of the first row that is not yet sent in its present form, or None."""
+        """Return the number of the first row that is not yet sent in its current form, or None."""
         count = min(self._played - self._told_from, self._kept)
         first = self._played - count  # rows before it are forgotten
         told = self._told.position[min(first - self._told_from, len(self._told) - 1) :]

@@ -85,7 +85,7 @@ class Machine:
     """A machine tool: linear axes X Y Z, then the rotary axes, primary first, then extra axes.
 
     An extra axis is a linear axis U, V or W that carries the tool beside X Y Z, such as the quill
-    W of a boring mill along Z: the tool stands at X Y Z plus the sum of ``w_k d_k``, with w_k its
+    W of a boring mill along Z: the tool is at X Y Z plus the sum of ``w_k d_k``, with w_k its
     position and d_k its direction. Rail U and positioner E1 of an arm are extra axes, too; the six
     joints follow from the pose of the tool.
 
@@ -207,7 +207,7 @@ class Machine:
 
     @property
     def scale(self) -> float:
-        """Size of an arm over that of machines for which lengths were chosen, at least 1 [-]."""
+        """Size of an arm over that of machines for which defaults were chosen, at least 1 [-]."""
         return 1.0 if self.arm is None else max(1.0, self.arm.reach / USUAL_SIZE)
 
     @property

@@ -128,7 +128,7 @@ def positions_of_pose(
 ) -> FloatArray:
     """Return the axis positions of a tool pose, (n_axes,) [m, rad].
 
-    NaN in ``tip``, or ``axis`` None, keep the present values; ``axis`` may have any length. The
+    NaN in ``tip``, or ``axis`` None, keep the current values; ``axis`` may have any length. The
     solution nearest to ``stands`` is taken. Raises BlockError if the direction is out of travel,
     and ValueError if its length is zero or the tool cannot turn to it.
     """

@@ -34,7 +34,7 @@ KNOWN = {
 
 
 class Requests:
-    """Answers requests; ``tools``: returns the present tool table."""
+    """Answers requests; ``tools``: returns the current tool table."""
 
     def __init__(self, agent: Agent, tools: Callable[[], dict[int, Tool]]):
         self._agent, self._tools = agent, tools

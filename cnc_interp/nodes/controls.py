@@ -149,7 +149,7 @@ class Controls:
         return 'switched'
 
     def _take_inputs(self, message: MachineSignals) -> None:
-        """Take inputs of drives without wires: simulated switches, or those of a controller."""
+        """Use inputs that need no wires: simulated switches, or those of a controller."""
         self._wake()
         signals, problem = self._playback.axes.machine.signals, ''
         known = {signal.name: k for k, signal in enumerate(signals.inputs)}

@@ -136,7 +136,7 @@ class ProgramRun:
         return 0 if program is None else len(program.functions)
 
     def _switching(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """Watch functions without motion until the machine has set all and has its answers."""
+        """Watch functions without motion until all outputs are set and all answers received."""
         machine, answer = peers.machine, self.answer
         if peers.missing(now, timeout) or answer is None or machine is None:
             return why_not(MACHINE, None)

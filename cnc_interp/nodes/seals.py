@@ -69,8 +69,8 @@ class Heard(NamedTuple):
 class Ear:
     """Reads one topic; it ignores, counts and reports messages without the seal of its sender.
 
-    ``tell`` receives the suspected sender. ``spoilt`` returns whether a message was damaged in
-    transit. ``read`` converts the bytes to the argument of ``take``.
+    ``tell`` is called with the suspected sender. ``spoilt`` returns whether a message was damaged
+    in transit. ``read`` converts the bytes to the argument of ``take``.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ def hear(
     tell: Callable[[str], object] = str,
     about: str = '',
 ) -> Ear:
-    """Take messages of the node that owns the topic, if they contain the text ``about``."""
+    """Process messages of the node that owns the topic, if they contain the text ``about``."""
     read = partial(deserialize_message, message_type=kind)
     heard = Heard(kind, topic, profile, about.encode())
     return Ear(node, heard, take, diagnostics, tell, read=read)

@@ -51,7 +51,7 @@ def is_text(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Moment:
-    """One point of the charts: the largest uses in a time step, and the feeds at its end; SI."""
+    """A point of the charts: the largest limit use in a time step, feeds at its end; SI."""
 
     time: float
     feed: float
@@ -176,7 +176,7 @@ class Desk:
         return int(lines[point]) if 0 <= point < len(lines) else 0
 
     def feeds(self, state: MachineState) -> tuple[float, float]:
-        """Return programmed feed and axis limit at the present place; NaN if unknown."""
+        """Return programmed feed and axis limit at the current position; NaN if unknown."""
         plan = self.plan_of(state)
         if plan is None or state.path_position <= 0.0 or state.state == MachineState.IDLE:
             return np.nan, np.nan

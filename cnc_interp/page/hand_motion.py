@@ -55,7 +55,7 @@ LOST = 'the window or the pointer was lost: check the machine, then press again'
 
 
 def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:
-    """Return the beat that moves an axis or along the tool; any other name stops the motion."""
+    """Return the beat that jogs an axis, or along the tool; any other name stops the motion."""
     if name == TOOL:
         return Jog(tool=share)
     return Jog(axes=[name], shares=[share]) if name in axes else Jog()

@@ -44,7 +44,7 @@ _BEGINS = {
 
 
 class ProbeDialog:
-    """Dialog to choose a cycle, enter its values, and start it at the present position."""
+    """Dialog to choose a cycle, enter its values, and start it at the current position."""
 
     def __init__(
         self, nodes: OperatorClient, setup: SetupClient, unit: ShownUnit, command: Command

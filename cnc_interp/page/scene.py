@@ -274,7 +274,7 @@ class MachineView:
         ui.run_javascript(f'scene.show_done({", ".join(map(json.dumps, words))})')
 
     def show_way(self, way: WayThere | None) -> None:
-        """Show the way to a place inside the program, and look at all of it; None removes it."""
+        """Show the approach to a position inside the program in full; None removes it."""
         legs = way.legs if way is not None else ()
         if legs is self._legs or self._path is None:
             return
@@ -314,7 +314,7 @@ class MachineView:
         return found
 
     def _size(self) -> tuple[FloatArray, float]:
-        """Return centre and radius of the view, which shows the path and the way to it [m]."""
+        """Return centre and radius of the view, which shows the path and the approach [m]."""
         low, high = self._extent
         for _, tips in self._legs:
             low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))

@@ -1,4 +1,4 @@
-"""A start inside the loaded program: the chosen line, and the way that leads there."""
+"""A start inside the loaded program: the chosen line, and the approach to it."""
 
 from dataclasses import dataclass, replace
 
@@ -77,7 +77,7 @@ class WayAhead:
         return self._way
 
     def _legs(self, corners: FloatArray) -> tuple[tuple[str, FloatArray], ...]:
-        """Return the tips on the way, leg by leg; legs without length are left out."""
+        """Return the tool tips on the approach, leg by leg; legs without length are left out."""
         legs, first = [], 0
         for name, last in LEGS:
             part = corners[first : last + 1]

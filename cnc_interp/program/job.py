@@ -129,7 +129,7 @@ class JobSetup:
         return replace(self, **fields)
 
     def told(self, change: SetupChange) -> str:
-        """Return the present values of a changed entry, in mm and deg, as ``X 40 Y -70``."""
+        """Return the current values of a changed entry, in mm and deg, as ``X 40 Y -70``."""
         value = getattr(self, change.field)
         if change.field == 'active':
             return self.offset

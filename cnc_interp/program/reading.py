@@ -98,9 +98,9 @@ class ProgramStream:
         return self._reader.at.probe if isinstance(self._reader, ProgramReader) else None
 
     def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
-        """Continue after a probe at the next iteration; block 0 is the present position.
+        """Continue after a probe at the next iteration; block 0 is the current position.
 
-        ``stands``, ``at`` (n_axes,): present positions of the axes, and positions at the answer of
+        ``stands``, ``at`` (n_axes,): current positions of the axes, and positions at the answer of
         the probe, or None if it did not answer [m, rad].
         """
         assert isinstance(self._reader, ProgramReader)
@@ -208,7 +208,7 @@ class MdiReader:
         self._last = self._reader('', Notices(), JobSetup())
 
     def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
-        """Begin to read a line; ``stands`` (n_axes,): present positions of the axes [m, rad]."""
+        """Begin to read a line; ``stands`` (n_axes,): current positions of the axes [m, rad]."""
         if len(text.splitlines()) != 1:
             raise ProgramError('give one line at a time; a program is run with run_program', MDI)
         notices = Notices()
@@ -235,7 +235,7 @@ class MdiReader:
         return reader.active_modes(setup.offset, setup.tool)
 
     def _following(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
-        """Return a reader that continues from the present modal state.
+        """Return a reader that continues from the current modal state.
 
         Until G43 or G49 changes it, the length of the tool in the spindle is in effect; with
         tool-tip programming, that of the machine file.

@@ -178,7 +178,7 @@ def touch_off_changes(
 ) -> list[SetupChange]:
     """Return the change of a work offset after which coordinates read given values here.
 
-    ``values``: the new readings; ``reads``: the present readings in ``frame``, all in its order;
+    ``values``: the new readings; ``reads``: the current readings in ``frame``, all in its order;
     ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane, one coordinate may
     change several zeros.
     """

@@ -23,7 +23,7 @@ SAME_VALUE = 1e-9  #: Largest relative difference of equal output values [-].
 
 
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Check that every function acts in order and at the begin of its block.
+    """Check that every function acts in order and at the start of its block.
 
     Of the machine's table of functions, only the entries that wait for a rest are used.
     """
@@ -67,7 +67,7 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
 @dataclass(frozen=True)
 class Call:
-    """A function of the program: the steps of one word, at the begin of a block."""
+    """A function of the program: the steps of one word, at the start of a block."""
 
     word: str
     line: int

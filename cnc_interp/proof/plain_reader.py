@@ -377,7 +377,7 @@ class _State:
         return np.asarray(self.shift + self.about + self.scales * (mirrored - self.about))
 
     def coordinates(self) -> dict[str, float]:
-        """Return the present program coordinates, in the unit of the program and deg."""
+        """Return the current program coordinates, in the unit of the program and deg."""
         lengths = (self.here[:3] - self.offset()) / self.factor() / self.unit
         return dict(zip(self.names, [*lengths, *self.here[3:] / DEG], strict=True))
 
@@ -399,7 +399,7 @@ class _State:
         self.by_normals, self.cutter = True, (radius - corner, corner)
 
     def measure(self, codes: list[str], number: float | None) -> None:
-        """Take the tool length of G43.4 H; G43 with a length is rejected."""
+        """Read the tool length of G43.4 H; G43 with a length is rejected."""
         known = {0: (0.0, 0.0, 0.0), **self.tools}
         named = 0 if number is None else int(number)
         if {'G43', 'G43.4'} & set(codes) and named not in known:

@@ -140,7 +140,7 @@ class LiveClearance:
             raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
 
     def pass_by(self, path: AxisPath) -> None:
-        """Cut the stock along a part before the place from which the run continues."""
+        """Cut the stock along a part before the position at which the run continues."""
         self._clearance.pass_by(path, rapid_cells(path), self._functions)
 
     def stock_text(self) -> str:
@@ -157,7 +157,7 @@ def rapid_cells(path: AxisPath) -> BoolArray:
 
 
 class ClearanceStage:
-    """Checks a program while it is planned: ``hits`` so far, and certificates by ``check``."""
+    """Checks a program while it is planned; ``hits`` has all hits up to now."""
 
     def __init__(self, clearance: PathClearance, mode: str):
         self.clearance, self.mode = clearance, mode
@@ -179,7 +179,7 @@ class ClearanceStage:
         return bool(self.hits) and self.mode == REFUSE
 
     def rows(self, blocks: Blocks, functions: Functions | None = None) -> None:
-        """Take further rows of the program, and its functions so far."""
+        """Receive more rows of the program, and its functions up to there."""
         self._rapid = np.concatenate([self._rapid, blocks.rapid])
         self._line = np.concatenate([self._line, blocks.line_number])
         if functions is not None:
@@ -192,7 +192,7 @@ class ClearanceStage:
         return found
 
     def program(self, blocks: Blocks, functions: Functions) -> None:
-        """Take further rows of the whole program, of which the run starts inside."""
+        """Receive more rows of the whole program, when the run starts inside it."""
         self._whole = np.concatenate([self._whole, blocks.rapid])
         self._functions = functions
 

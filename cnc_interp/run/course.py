@@ -47,7 +47,7 @@ class Course:
         return portions
 
     def lead(self, way: AxisPath, s: float) -> None:
-        """Replace the path before a place [m] by another way, which ends at rest."""
+        """Replace the path before a position [m] by another path that ends at rest."""
         self.items = deque([way, Wait.NOTHING, *self.after(s)])
 
     def release(self, s: float) -> None:

@@ -19,7 +19,7 @@ class _TimesOnly(ProgramTimes):
     setpoints = None
 
     def segments(self, _: Any) -> None:
-        """Take segments, which have no time yet."""
+        """Accept segments, whose time is not known yet."""
 
     certificates = segments
 

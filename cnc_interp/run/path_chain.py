@@ -1,4 +1,4 @@
-"""From blocks to smooth segments and the path in machine axes; also compares ways at corners."""
+"""From blocks to smooth segments and the path in machine axes; compares stops at corners."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -57,7 +57,7 @@ class PathPart:
 
 
 class PathChain:
-    """Takes blocks; returns segments and their path in machine axes.
+    """Converts blocks to segments and their path in machine axes.
 
     ``spun``: an arm in its first configuration and the spins for ``AxisPathBuilder``, if chosen;
     ``stands``: as in ``AxisPathBuilder``.
@@ -79,7 +79,7 @@ class PathChain:
 
     @property
     def stops(self) -> IntArray:
-        """Program rows of the corners so far at which a stop is faster."""
+        """Program rows of all corners up to now at which a stop is faster."""
         return np.array(self._smoother.stops, dtype=np.int64)
 
     @property
@@ -105,7 +105,7 @@ def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
 def is_faster(
     transform: Transform, settings: Settings, ways: Sequence[Way], others: Sequence[Way]
 ) -> bool:
-    """Return whether the fastest of some ways saves time over the fastest of the others."""
+    """Return whether the fastest of some alternatives beats the fastest of the others."""
     first, second = (
         min((way_time(transform, settings, way) for way in some), default=np.inf)
         for some in (ways, others)
@@ -114,7 +114,7 @@ def is_faster(
 
 
 def way_time(transform: Transform, settings: Settings, way: Way) -> float:
-    """Return the time of a way [s]; infinite if the machine cannot execute its blocks."""
+    """Return the time of an alternative [s]; infinite if the machine cannot execute it."""
     # Every corner is rounded, and every run of short blocks becomes a curve.
     smoother = PathSmoother(_with_curves(settings, way.curves), traits_of(transform))
     period = settings.interpolation_period

@@ -160,7 +160,7 @@ class PlanWriter:
         self._archives['collision'].append(found.columns())
 
     def stock(self, columns: Mapping[str, Columns]) -> None:
-        """Take the columns of the files about the remaining stock."""
+        """Store the columns of the files about the remaining stock."""
         for name, found in columns.items():
             self._archives[name].append(found)
 
@@ -172,7 +172,7 @@ class PlanWriter:
     def followed(
         self, block: int, ramp: float, later: int, angle: FloatArray, position: FloatArray
     ) -> None:
-        """Take the setpoints of a recorded line in step with the spindle."""
+        """Store the setpoints of a recorded line in step with the spindle."""
         given = {'block': block, 'ramp': ramp, 'later': later}
         columns = {name: np.full(len(angle), value) for name, value in given.items()}
         self._archives['followed'].append(columns | {'angle': angle, 'position': position})

@@ -140,7 +140,7 @@ class LossRecovery:
         self._report: MachineReport | None = None
 
     def see(self, report: MachineReport) -> None:
-        """Take a report of the machine, which executes this run or is free for it."""
+        """Process a report of the machine, which executes this run or is free for it."""
         before, self._report = self._report, report
         held = before is not None and before.state is State.HELD
         if self.node and held and report.moves and report.state is not State.HELD:

@@ -78,7 +78,7 @@ class RunPlanner:
     def push(
         self, segments: PathSegments, pauses: dict[int, Wait], functions: Functions = NO_FUNCTIONS
     ) -> None:
-        """Take segments, waits after blocks (M0, M1), and functions; errors name the line."""
+        """Accept segments, waits after blocks (M0, M1), and functions; errors name the line."""
         self._note_lines(segments)
         waits = functions.waits(self._transform.machine.signals)
         self.stream.pause_blocks |= dict.fromkeys((waits - 1).tolist(), Wait.FUNCTION) | pauses
@@ -129,7 +129,7 @@ class RunPlanner:
         return from_place(path, self._continue_at)
 
     def _way(self, stands: FloatArray, there: FloatArray, inside: bool) -> AxisPath | None:
-        """Make the way from rest to a place, inside the program or at its top."""
+        """Make the approach from rest to a position inside the program or at its top."""
         choices, height = self._choices, self._choices.flank_height
         if inside:
             how = choices.retract, choices.plunge_feed

@@ -27,7 +27,7 @@ class RunId:
         return (self.program_id, self.attempt) == (other.program_id, other.attempt)
 
     def continues(self, other: RunId) -> bool:
-        """Return whether this is a later attempt at the other's run, or a later plan of it."""
+        """Return whether this is a later attempt at, or a later plan of, the run of ``other``."""
         later = (self.attempt, self.plan) > (other.attempt, other.plan)
         return self.program_id == other.program_id and later
 

@@ -1,4 +1,4 @@
-"""The place on the path at which a run starts, and the way there.
+"""The position on the path at which a run starts, and the approach to it.
 
 The whole program is read and smoothed, so the path is the same as in a full run.
 """
@@ -81,7 +81,7 @@ class StartPlace:
 
 
 class StartFinder:
-    """Takes the whole program and passes on the executed part, after the skipped row 0."""
+    """Receives the whole program and passes on the executed part, after the skipped row 0."""
 
     def __init__(self, transform: Transform, flank_height: float, start: StartLine):
         self._transform, self._height, self._start = transform, flank_height, start
@@ -122,7 +122,7 @@ class StartFinder:
         return replace(mine, block=self._own(mine.block))
 
     def path(self, path: AxisPath | None, last: bool = False) -> AxisPath | None:
-        """Take the next part of the path, and return its executed part."""
+        """Receive the next part of the path, and return its executed part."""
         self.before = None
         if self._s is not None:
             return None if path is None else self._renumbered(path)
@@ -224,7 +224,7 @@ def approach(
 def way_inside(
     transform: Transform, stands: FloatArray, place: FloatArray, retract: float
 ) -> FloatArray:
-    """Return the corners of the way to a place of the program, (5, n_axes) [m, rad].
+    """Return the corners of the approach to a position in the program, (5, n_axes) [m, rad].
 
     The tool is drawn back by ``retract``, or farther if the other end lies higher along it.
     """
@@ -264,7 +264,7 @@ def arm_inside(
     retract: float,
     plunge_feed: float,
 ) -> AxisPath | None:
-    """Make the way of an arm to a place inside: along the tool, in its joints, along the tool."""
+    """Make an arm's approach to a place inside: along the tool, in its joints, along the tool."""
     if np.abs(place - stands).max() <= THERE:
         return None
     (here, there), (axis, to_axis) = chain.forward(np.stack([stands, place]))
@@ -282,7 +282,7 @@ def arm_inside(
 
 
 def _drawn_back(chain: JointChain, q: FloatArray, height: float) -> FloatArray:
-    """Return the joints (n,) with the tool drawn back so far [m], or as far as the arm can."""
+    """Return the joints (n,) with the tool retracted by a distance [m], or as far as possible."""
     chain = chain.standing(q)
     tip, axis = (rows[0] for rows in chain.forward(q[None]))
     up = np.linspace(0.0, height, 2 + int(height / STEP))

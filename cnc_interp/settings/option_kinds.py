@@ -141,7 +141,7 @@ class Choice:
         return self.text(value) if isinstance(value, Path) else value
 
     def from_plain(self, value: float | int | bool | str) -> Any:
-        """Take the value of a ROS parameter; 0 or empty may be None; raises SettingsError."""
+        """Read the value of a ROS parameter; 0 or empty may be None; raises SettingsError."""
         found: Value = None if self.optional and not value else value
         if self.kind is Path and isinstance(found, str):
             found = Path(found)

@@ -190,8 +190,8 @@ class Emission:
     def _longer(self, rows: IntArray) -> FloatArray:
         """Return path length over tip length: 1, or at flank height where the tool swivels.
 
-        Measured by the way of the tip, rotary axes would turn by up to 1e8 rad/m, so that rounding
-        a place on the path would make the axes jump.
+        Measured by the travel of the tip, rotary axes would turn by up to 1e8 rad/m, so that
+        rounding a place on the path would make the axes jump.
         """
         legs, swivels = self.legs, self.legs.swivels[rows]
         turned = self.style.height * legs.turn[rows]

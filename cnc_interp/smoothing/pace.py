@@ -9,7 +9,7 @@ from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.program.blocks import WITHIN_MOTION, Blocks
 from cnc_interp.settings.options import Settings
 
-#: A turn counts as the mean over this length before and behind the middle of a block [m], in
+#: A turn counts as the mean over this length before and after the middle of a block [m], in
 #: which at most so many blocks are considered on each side.
 REACH, NEAR = 1e-3, 8
 HELD = NEAR + 1  #: Rows that wait for those behind them, unless the tool rests between.

@@ -26,7 +26,7 @@ from cnc_interp.smoothing.upright import Upright
 class PathSmoother:
     """Smooth a stream of blocks. The result does not depend on how the stream is divided.
 
-    Without a ``choice`` between the ways that it proposes, every corner is rounded.
+    Without a ``choice`` between the alternatives that it proposes, every corner is rounded.
     """
 
     def __init__(self, settings: Settings, machine: MachineTraits, choice: Choice | None = None):
@@ -122,7 +122,7 @@ class PathSmoother:
         return found
 
     def _released(self, flows: bool) -> PathSegments | None:
-        """Return the lines that wait; the last one has no stop any more if the path goes on."""
+        """Return the waiting lines; the last one loses its stop if the path continues."""
         lines, self._waiting = self._waiting, None
         if lines is None or not len(lines) or not flows:
             return lines

@@ -1,6 +1,6 @@
 """Corners at which a stop may be faster, and short runs of blocks that may be faster as lines.
 
-Rounding nearly always saves time. It may not where the axes move in another way on the corner
+Rounding nearly always saves time. It may lose time where the axes move differently on the corner
 than on the lines beside it: near the pole, where the rounded orientation may lead the outer rotary
 axis half a turn round; beside a block on which the tip hardly moves while the tool turns; and
 where the path almost reverses. Beside a line of a micrometre a rounded corner is so small that
@@ -10,15 +10,15 @@ A curve needs room: a few spans, and a part of the lines beside it. On a run of 
 the lines and their corners may be shorter and straighter. Near the pole a curve may use the whole
 orientation tolerance, and the outer rotary axis follows each of its waves.
 
-No simple size of the path tells how long the axes take there, and smoothing plans no motion. So it
-proposes: two sets of ways over the next blocks. A stage that can plan them chooses (``Choice``).
-At a corner the ways are with and without a stop there; the corners after it, which may need a stop
-too, are rounded or all are stops. A run is a curve, or lines that are rounded; or all are stops,
-where one of their corners is doubtful.
+No simple measure of the path predicts how long the axes take there, and smoothing plans no motion.
+Therefore it proposes two sets of alternatives for the next blocks, and a stage that can plan them
+chooses (``Choice``). At a corner the alternatives are with and without a stop there; the corners
+after it, which may need a stop too, are rounded or all are stops. A run is a curve, or lines that
+are rounded; or all are stops, where one of their corners is doubtful.
 
-A way begins and ends at rest: at the last stop, or three lines before the corner, and at the next
-stop, or six lines after it. Which lines it has does not depend on how the blocks arrive, and
-neither does the choice.
+An alternative begins and ends at rest: at the last stop, or three lines before the corner, and at
+the next stop, or six lines after it. Its lines, and the choice, do not depend on how the blocks
+arrive.
 """
 
 from collections.abc import Callable, Sequence
@@ -144,7 +144,7 @@ class StopChoice:
         return len(rows)
 
     def keep(self, rows: Rows, vertex: IntArray, last: int) -> None:
-        """Take note that the rows up to ``last`` are decided; the next rows begin there."""
+        """Note that the rows up to ``last`` are decided; the next rows begin there."""
         if self._choice is None:
             return
         blocks, plain = self._decided(rows[: last + 1], vertex)
@@ -165,7 +165,7 @@ class StopChoice:
 
     @staticmethod
     def _end(rows: Rows, vertex: IntArray, v: int, final: bool) -> int | None:
-        """Return the vertex at which a way ends; None if it is not known yet."""
+        """Return the vertex at which an alternative ends; None if it is not known yet."""
         plain = _plain(rows)
         for end in range(v + 1, v + AFTER + 1):
             if end == len(rows) - 1:

@@ -23,7 +23,7 @@ from cnc_interp.settings.options import Settings, texts_of, with_texts
 
 
 def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) -> None:
-    """Add up in a result what was executed; ``states``: last state of each part of a program."""
+    """Add the executed counts to a result; ``states``: last state of each part of a program."""
     for state in states:
         count, period = state.samples - state.approach_samples, state.interpolation_period
         result.cycle_time += max(0, count - 1) * period

@@ -1,4 +1,4 @@
-"""The functions of a program: outputs of the machine, each set at the begin of a block."""
+"""The functions of a program: outputs of the machine, each set at the start of a block."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Functions(Table):
         return Functions(*(c.astype(kind) for c, kind in zip(columns, kinds, strict=True)))
 
     def until(self, block: int) -> int:
-        """Return the number of functions that act up to the begin of a block."""
+        """Return the number of functions that act up to the start of a block."""
         return int(np.searchsorted(self.block, block, side='right'))
 
     def counts(self, signals: Signals) -> dict[str, int]:

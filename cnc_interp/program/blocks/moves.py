@@ -178,7 +178,7 @@ class Moves:
         return piece_counts(lambda block, u: poses(row[block], u), turned, tip, top, height)
 
     def _short(self, row: IntArray, settings: Settings) -> BoolArray:
-        """Return in which motions the tip moves a short way, but does not rest, shape (m,)."""
+        """Return in which motions the tip moves, but only a short distance, shape (m,)."""
         (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
         way = np.linalg.norm(tip - tip_from, axis=1)
         turn = settings.flank_height * angle_between(o_from, o)

@@ -34,7 +34,7 @@ class StartLine:
         self._rows = 0  # that were seen
 
     def reach(self, words: Callable[[], tuple[str, ...]]) -> None:
-        """Count an execution of the line that is about to begin; ``words`` returns the state."""
+        """Count the execution of a line that is about to begin; ``words`` returns the state."""
         self.passes += 1
         if self.passes == self._which:
             self._words = words()

@@ -15,7 +15,7 @@ from cnc_interp.program.text.words import BlockWords
 
 
 def choose_tool(at: Execution, words: BlockWords) -> None:
-    """Take the tool of T, which M6 changes to, or of M61 Q."""
+    """Select the tool of T, to which M6 changes, or of M61 Q."""
     values = words.values
     changes = 'M6' in words.m or 'M61' in words.m
     at.refuse_if('M61' in words.m and 'Q' not in values, 'give the number of the tool as Q', 'M61')
@@ -33,7 +33,7 @@ def choose_tool(at: Execution, words: BlockWords) -> None:
 
 
 def set_speed(at: Execution, words: BlockWords) -> None:
-    """Take S; with G96 it is a surface speed, and D the largest spindle speed."""
+    """Process S; with G96, S is a surface speed, and D the largest spindle speed."""
     mover, speed, by_surface = at.mover, words.values.get('S'), at.by_surface
     if 'G96' in words.g and by_surface:
         mover.surface_limit = abs(words.values.pop('D', 0.0))
@@ -104,7 +104,7 @@ def machine_function(at: Execution, code: str, _: BlockWords) -> None:
 
 
 def numbered_function(at: Execution, code: str, words: BlockWords) -> None:
-    """Take M62 to M68, which name an output or an input of the machine by its number."""
+    """Process M62 to M68, which name an output or an input of the machine by its number."""
     if not words.values.keys() & {'P', 'E'} and at.mover.dialect is not LINUXCNC:
         machine_function(at, code, words)  # another control's own meaning of it
         return

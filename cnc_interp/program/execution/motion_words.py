@@ -43,7 +43,7 @@ def tilt(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def thread(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G33, G33.1 (which returns) and Fanuc's G32; K or F is the way per turn."""
+    """Process G33, G33.1 (which returns) and Fanuc's G32; K or F is the travel per turn."""
     mover, letter = at.mover, 'F' if code == 'G32' else 'K'
     at.refuse_if(
         code == 'G32' and mover.dialect not in (FANUC, PLAIN),

@@ -52,7 +52,7 @@ class ContactPath:
         self._before: tuple[FloatArray, FloatArray, float] | None = None
 
     def take(self, words: BlockWords, turn: FloatArray, fault: Fault) -> None:
-        """Take the normal (I J K, or A5 B5 C5) out of a block; by default, keep the last one."""
+        """Read the normal (I J K, or A5 B5 C5) from a block; by default, keep the last one."""
         named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
         given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
         if not named:

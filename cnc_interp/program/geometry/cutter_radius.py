@@ -372,7 +372,7 @@ class CutterRadius:
         return made
 
     def _compare(self, element: Element, row: FloatArray) -> None:
-        """Take an element of the contour; unless it is a lead, check the path against it."""
+        """Add an element of the contour; unless it is a lead-in, check the path against it."""
         number, kept = self._count, element
         self._length += element.length
         is_lead = number - self._met <= LEADS

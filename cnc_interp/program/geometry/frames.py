@@ -74,7 +74,7 @@ class Frames:
         return SetupChange('work_offsets', position, name)
 
     def origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
-        """Return the machine coordinates of the zero at which the present place reads as words."""
+        """Return the machine zero for which the current position has the given coordinates."""
         turn = rotation(2, self._setup.rotation(name))
         added, zero = self.local + self.g92, self.work(name)
         gone = here - np.array([*(self.length * self.along), 0.0, 0.0])

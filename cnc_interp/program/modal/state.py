@@ -253,7 +253,7 @@ class ModalState(ModalValues):
 
     @property
     def axes_column(self) -> float:
-        """Return the column AXES of targets; on Fanuc, degrees count as millimetres of the way."""
+        """Return the column AXES of targets; on Fanuc, degrees count as millimetres of travel."""
         return COMBINED if self.by_axes and self.dialect is FANUC else float(self.by_axes)
 
     def tell_feed_of_turns(self, point: FloatArray) -> None:
@@ -267,7 +267,7 @@ class ModalState(ModalValues):
 
     @property
     def tool_axis(self) -> FloatArray:
-        """Unit tool axis in W at the present rotary positions, or of direction words, (3,)."""
+        """Unit tool axis in W at the current rotary positions, or of direction words, (3,)."""
         if self.vector is not None:
             return self.vector
         if not self.rotary_letters:
@@ -284,7 +284,7 @@ class ModalState(ModalValues):
         return np.concatenate([self.frames.program(self.point), rotary])
 
     def in_words(self, place: FloatArray) -> dict[str, float]:
-        """Return a place (5,) in units of the program and deg, by the letters of its axes."""
+        """Return a position (5,) by axis letter, in program units and deg."""
         sizes = np.array([self.unit] * 3 + [DEG] * 2)
         return dict(zip(self.frames.letters, (place / sizes).tolist(), strict=False))
 

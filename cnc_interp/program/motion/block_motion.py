@@ -86,7 +86,7 @@ class Mover(ArcTargets):
             self.switch_tcp(by_machine)
 
     def _begins_here(self, words: BlockWords) -> bool:
-        """Return whether the first block is a cutting motion from the present tool position."""
+        """Return whether the first block is a cutting motion from the current tool position."""
         usual = 'IC' if self.incremental else ''
         letters = words.values.keys() & {'X', 'Y', 'Z', *self.rotary_letters}
         counts = any(words.ways.get(letter, usual) == 'IC' for letter in letters)
@@ -168,7 +168,7 @@ class Mover(ArcTargets):
         self.notices.once('gouge', gouge.line_number, f'WARNING: {text}')
 
     def begin_contact(self, code: str, cutter: ToolShape) -> None:
-        """Take the following points as cutter contact points (G41.2, G42.2)."""
+        """Treat the following points as cutter contact points (G41.2, G42.2)."""
         self.demand(not self.targets.empty, 'move to a place beside the part first', code)
         self.demand(
             not self.by_axes, f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code
@@ -213,7 +213,7 @@ class Mover(ArcTargets):
                 self.targets.change(step, self.flow.main_line)
 
     def in_step(self, code: str, point: FloatArray, pitch: float, comes_back: bool) -> None:
-        """Go to a point in step with the spindle, by ``pitch`` in a turn [m], and maybe back."""
+        """Move to a point in step with the spindle, ``pitch`` a turn [m], and maybe back."""
         self.refuse_if(
             self.by_surface_speed or not self.spindle_speed > 0.0,
             'needs S, the speed in rev/min',

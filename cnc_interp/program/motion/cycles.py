@@ -74,7 +74,7 @@ def pecks_of(
     fault: Callable[[str], ProgramError],
     then: Callable[[float, float], float] | None = None,
 ) -> list[float]:
-    """Return the levels of pecks [m]; ``then``: next stroke from the last one and the rest."""
+    """Return the levels of pecks [m]; ``then``: from last stroke and rest to the next stroke."""
     depth, done, stroke, levels = top - bottom, first, first, list[float]()
     while depth - done > _NOTHING:
         levels.append(top - done)
@@ -421,7 +421,7 @@ class SiemensCycle:
 
 
 def places_of(name: str, given: Given, mover: Mover) -> list[tuple[float, float]]:
-    """Return the places of HOLES1 (a row) and HOLES2 (a circle) in the plane [m]."""
+    """Return the hole positions of HOLES1 (a row) and HOLES2 (a circle) in the plane [m]."""
     unit = mover.unit
     values = [value or 0.0 for value in given] + [0.0] * 6
     a, b, count = values[0] * unit, values[1] * unit, int(values[5])

@@ -60,14 +60,14 @@ class Probe:
 
 
 def measuring(words: BlockWords) -> list[str]:
-    """Take MEAS=1 out of the assignments of a block, as a code."""
+    """Remove MEAS=1 from the assignments of a block, and return it as a code."""
     found = [(name, value) for name, value in words.sets if name == 'MEAS' and value]
     words.sets[:] = [each for each in words.sets if each not in found]
     return [f'{name}={value:g}' for name, value in found]
 
 
 def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> FloatArray:
-    """Take the words of a probing block; return the point to which it leads, (3,) [m]."""
+    """Process the words of a probing block; return its end point, (3,) [m]."""
     mover.refuse_if(
         code == 'G31' and mover.dialect not in (FANUC, PLAIN), 'skips on Fanuc; write G38.3', code
     )

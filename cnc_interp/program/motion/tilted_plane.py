@@ -149,7 +149,7 @@ class TiltedPlane:
         mover.set_oriented(True)
 
     def _set(self, code: str, origin: FloatArray, turn: FloatArray, angle: float) -> None:
-        """Set a frame, turned about its own Z; G68.4 is relative to the present frame."""
+        """Set a frame, turned about its own Z; G68.4 is relative to the current frame."""
         self.parts.clear()
         frames = self._mover.frames
         if code != 'G68.4':

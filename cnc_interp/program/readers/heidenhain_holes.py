@@ -30,7 +30,7 @@ class HeidenhainHoles:
         self.cycle = 0  # number of the cycle that is defined
 
     def define(self, number: int, part: str | None, rest: str) -> None:
-        """Take the number of a cycle; the older ones have their sizes in lines of their own."""
+        """Read the number of a cycle; older cycles give their dimensions in separate lines."""
         self.cycle = number
         names = {'SET UP': 'Q200', 'DEPTH': 'Q201', 'PECKG': 'Q202', 'DWELL': 'Q211', 'F': 'Q206'}
         if part == '0':

@@ -117,7 +117,7 @@ class Cursor:
     def demand(
         self, holds: object, message: str, word: str = '', depends_on: DependsOn = DependsOn.STATE
     ) -> None:
-        """Reject the line unless something holds."""
+        """Reject the line unless a condition holds."""
         if not holds:
             raise self.fault(message, word, depends_on)
 

@@ -271,7 +271,7 @@ class Flow(Cursor):
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
 
     def _arguments_of(self, words: BlockWords) -> dict[int, float]:
-        """Take the arguments of G65; repeated I J K become #7 #8 #9, and so on."""
+        """Read the arguments of G65; repeated I J K become #7 #8 #9, and so on."""
         given = [letter for letter in words.values if letter in G65_ARGUMENTS]
         found = {G65_ARGUMENTS[letter]: words.values.pop(letter) for letter in given}
         later, before = 0, ''

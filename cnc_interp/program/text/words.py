@@ -74,7 +74,7 @@ class BlockWords:
         self.values[letter], self.texts[letter] = value, text or f'{letter}{value:g}'
 
     def take(self, letters: Iterable[str]) -> dict[int, float]:
-        """Take words out of the block; return their numbers by the places of their letters."""
+        """Remove words from the block; return their numbers in the order of their letters."""
         found = enumerate(letters)
         return {i: self.values.pop(letter) for i, letter in found if letter in self.values}
 

@@ -19,7 +19,7 @@ STANDSTILL = 0.5e-9
 def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
     """Return how far poses are apart: tip, tool axis, rotary and extra axes, shape (n,) [m].
 
-    Rotary positions that are named only after the block may be anywhere: the way is infinite.
+    Rotary positions that are named only after the block may be anywhere: the distance is infinite.
     """
     begin = np.where(np.isnan(before.rotary), after.rotary_from, before.rotary)
     turn = np.abs(after.rotary - begin)
@@ -36,10 +36,10 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
 def settled(blocks: Blocks, before: Blocks, height: float) -> Blocks:
     """Put the end of each block that does not move on the end of the block before it.
 
-    So the path continues from there without a step. Small steps may add up to a motion, so the way
-    is measured from the last end that moved. The next block takes the smaller tolerances of both,
-    because their corners have become one. ``before`` has the last two rows of the call before, and
-    comes first in what is returned.
+    So the path continues from there without a step. Small steps may add up to a motion, so
+    distances are measured from the last end that moved. The next block takes the smaller
+    tolerances of both, because their corners have become one. ``before`` has the last two rows of
+    the call before, and comes first in what is returned.
     """
     rows = Blocks.concatenate([before, blocks])
     still = np.append(False, way_between(rows[:-1], rows[1:], height) < STANDSTILL)

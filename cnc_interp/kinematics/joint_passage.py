@@ -7,7 +7,7 @@ several lengths, to the nearest solutions after the pose, are compared by their 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, product
 from math import ceil, pi
 from typing import NamedTuple
@@ -17,6 +17,7 @@ import numpy as np
 from cnc_interp.core import MM, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics import segment_axes as axes
+from cnc_interp.kinematics.axis_path import septic_coefficients
 from cnc_interp.kinematics.passages import Passages
 from cnc_interp.kinematics.path_ahead import PassageEnd, PathAhead
 from cnc_interp.kinematics.sampling import guided_grid
@@ -24,7 +25,7 @@ from cnc_interp.kinematics.segment_axes import Place, SegmentRows, Stands
 from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import arm_of
-from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 NEAR = 0.05  #: A stretch is tried where the smallest pivot of the rates is below this [-].
 FAR = 0.12  #: Longest way before and after it, as a share of the arm's reach [-].
@@ -66,6 +67,7 @@ class JointPassages(Passages[PathAhead]):
         self._far = FAR * arm_of(transform.machine).reach
         self._spins = spins
         self._lost = False  # what follows is refused
+        self._keeps_spin = False  # that poses give, so no joint may lead
 
     def begin(self, q: FloatArray, branch: float) -> None:
         self._q, self._branch = q.copy(), branch
@@ -77,7 +79,14 @@ class JointPassages(Passages[PathAhead]):
         if self._spins is not None:
             rows, self._spins = np.split(self._spins, [len(segments)])
             guides[:, axes.SPIN_BEGUN : axes.SPIN.stop] = rows
-        return PathAhead.of(self._height, segments, motion, guides)
+        count = len(self._chain.machine.extra_names)
+        extra, given = segments.extra[:, :, :count], segments.extra[:, :, count:]
+        path = PathAhead.of(self._height, replace(segments, extra=extra), motion, guides)
+        self._keeps_spin = given.shape[2] > 0
+        if self._keeps_spin:
+            spins = _given_spins(path, given[:, :, 0] / self._height)
+            guides[:, axes.SPIN_BEGUN : axes.SPIN.stop] = spins
+        return path
 
     def _pass(self, path: PathAhead, closed: bool) -> int:
         if self._lost:
@@ -135,7 +144,7 @@ class JointPassages(Passages[PathAhead]):
         turns = np.abs(np.linalg.svd(self._chain.pose_rates(nearest))[2][-1])
         leaders = np.argsort(-turns, kind='stable')[:LEADERS]
         tried = dict[tuple[float, float], list[_Stretch]]()
-        for share in WAYS:
+        for share in () if self._keeps_spin else WAYS:
             ways = (
                 min(share * self._far, start - float(ends[first])),
                 min(share * self._far, float(ends[-1]) - end),
@@ -272,6 +281,22 @@ class JointPassages(Passages[PathAhead]):
             share = (powers[:, order] / limit).max(axis=1)
             slow = np.maximum(slow, share ** (1.0 / (order + 1)))
         return float((np.diff(walk.s, prepend=path.ends[rows.start]) * slow).sum())
+
+
+def _given_spins(path: PathAhead, values: FloatArray) -> FloatArray:
+    """Return the spin of each segment from control values (n, POINTS), (n, 10) as in ``guides``.
+
+    It is linear on lines; on corners it continues both lines with three derivatives.
+    """
+    found, segments = np.zeros((len(path), 10)), path.segments
+    found[:, 1], found[:, 2], found[:, 3] = path.lengths, values[:, 0], values[:, 1] - values[:, 0]
+    for i in np.flatnonzero(segments.kind == CORNER):
+        jets = np.zeros((2, 4))
+        for jet, (at, a, b) in zip(jets, ((0, 0, 1), (4, 3, 4)), strict=True):
+            way = float(np.linalg.norm(segments.bottom[i, b] - segments.bottom[i, a]))
+            jet[:2] = values[i, at], (values[i, b] - values[i, a]) / way
+        septic_coefficients(*jets, float(path.lengths[i]), found[i, 2:])
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -112,12 +112,15 @@ class AxisPathBuilder:
         if isinstance(self.transform, JointChain):
             from cnc_interp.kinematics.joint_passage import JointPassages
 
-            pose, beside = (segments.bottom[0, 0], segments.axis[0]), segments.extra[0, 0]
+            pose = segments.bottom[0, 0], segments.axis[0]
+            beside, spin = np.split(segments.extra[0, 0], [len(self.machine.extra_names)])
             if self._from is not None:
                 tip, axis = self.transform.forward(self._from[None])
                 here = np.concatenate([tip[0], axis[0], self._from[ARM:]])
                 if np.abs(here - np.concatenate([*pose, beside])).max() < SAME_POSE:
                     self.transform = self.transform.standing(self._from)
+            if len(spin):
+                self.transform = self.transform.spun(float(spin[0]) / self.flank_height)
             self._stands[:], self._branch = self.transform.start(*pose, line, beside)
             self._joints = JointPassages(self.transform, self.flank_height, self._spins)
             self._joints.begin(self._stands, self._branch)
@@ -132,7 +135,8 @@ class AxisPathBuilder:
 
     def push(self, segments: PathSegments) -> AxisPath | None:
         """Accept segments; return the path of final ones, if any; BlockError names the line."""
-        if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
+        spare = segments.extra.shape[2] - len(self.machine.extra_names)
+        if len(segments) and spare not in (0, int(self.machine.arm is not None)):
             raise BlockError(
                 f'the path moves {segments.extra.shape[2]} extra axes, but machine '
                 f'{self.machine.name} has {len(self.machine.extra_names)}; choose another machine',

@@ -170,7 +170,8 @@ class FeedrateNode(LifecycleNode):
             text = f'{name} is not active; activate it, then run the program again'
             raise StreamError(text, Refusal.NOT_READY)
         machine = self._transform.machine
-        check_segment(segment, len(machine.extra_names), machine.signals)
+        arm = machine.arm is not None
+        check_segment(segment, len(machine.extra_names), machine.signals, arm)
 
     def _take(self, segment: PathSegment) -> None:
         self._pace.wake()

@@ -129,7 +129,12 @@ class LookaheadNode(Node):
             lambda segments, _: PathSegmentBatch(segments=segments),
         )
         machine = self._transform.machine
-        check = partial(check_block, extra_count=len(machine.extra_names), signals=machine.signals)
+        check = partial(
+            check_block,
+            extra_count=len(machine.extra_names),
+            signals=machine.signals,
+            spins=machine.arm is not None,
+        )
         self._inlet = Inlet(
             self,
             # program_node sends one program after another.

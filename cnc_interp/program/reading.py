@@ -18,13 +18,15 @@ from cnc_interp.program.notices import NAMED_ALONE, Notices
 from cnc_interp.program.readers.cl_data import ClReader
 from cnc_interp.program.readers.gcode import GcodeReader
 from cnc_interp.program.readers.heidenhain import HeidenhainReader
+from cnc_interp.program.readers.poses import PoseReader
 from cnc_interp.program.readers.program_reader import ProgramReader
 from cnc_interp.program.text import control_traits as profiles
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
 _NO_PROGRAM = (
-    'no line of it begins like G-code, CL data or Heidenhain plain text; give a part program'
+    'no line of it begins like G-code, CL data, poses or Heidenhain plain text; '
+    'give a part program'
 )
 MDI = 'MDI'  #: Name of MDI lines in messages.
 
@@ -61,11 +63,12 @@ class ProgramStream:
         settings = profiles.as_on(geometry, settings)
         #: The chosen dialect, and the reason, in one line each.
         self.read_as: tuple[str, ...] = ()
-        if self.dialect == 'cl':
-            self._reader = ClReader(geometry, settings, source, self._notices)
+        if of_points := {'cl': ClReader, 'poses': PoseReader}.get(self.dialect):
+            self._reader = of_points(geometry, settings, source, self._notices)
             if setup.work_offsets or setup.g92_on:
                 why = 'it runs from the workpiece zero of the machine file'
-                self._notices.once('offsets', 1, f'CL data: work offsets do not count; {why}')
+                named = 'CL data' if self.dialect == 'cl' else 'poses'
+                self._notices.once('offsets', 1, f'{named}: work offsets do not count; {why}')
         else:
             kind: type[ProgramReader] = HeidenhainReader
             profile, why = profiles.HEIDENHAIN, 'by BEGIN PGM'

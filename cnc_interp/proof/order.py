@@ -153,6 +153,7 @@ class _Shapes:
         plan, machine, program, lines = shapes.plan, shapes.machine, shapes.path, shapes.lines
         blocks, height = plan.blocks, plan.flank_height
         self.blocks, rows, self.has_rotary = blocks, len(blocks['tip']), machine.has_rotary
+        self.extra_count = len(machine.extra_names)
         self.height, transform = height, shapes.transform
         tolerance = np.minimum(blocks['contour_tolerance'], blocks['orientation_tolerance'])
         room = 8.0 * CHORD_SHARE * np.maximum(tolerance, 1e-9)
@@ -221,7 +222,7 @@ class _Shapes:
         )
 
     def joint_pieces(self, vertex: FloatArray, top: FloatArray) -> Pieces:
-        k, extra = self.row, self.blocks['extra_axes']
+        k, extra = self.row, self.blocks['extra_axes'][:, : self.extra_count]
         tips = self.pieces(self.tip, 'contour_tolerance', vertex)
         start, end = [tips.start], [tips.end]
         contour = JOINT_ROOM / ROOM * tips.room

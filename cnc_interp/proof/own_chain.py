@@ -48,7 +48,8 @@ class OwnChain:
         columns = [*range(ARM, len(axes)), *range(ARM)]
         return OwnChain(frames, [(*one, k) for one, k in zip(axes, columns, strict=True)])
 
-    def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def poses(self, q: FloatArray) -> FloatArray:
+        """Return the poses of the TCP in the part (n, 4, 4) for rows of q."""
         pose = np.broadcast_to(self.frames[0], (len(q), 4, 4))
         for frame, (axis, slides, k) in zip(self.frames[1:], self.joints, strict=True):
             x, y, z = axis
@@ -58,7 +59,25 @@ class OwnChain:
             shift = np.zeros((4, 4))
             shift[:3, 3] = axis
             pose = pose @ (np.eye(4) + at * shift if slides else turn) @ frame
+        return pose
+
+    def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        pose = self.poses(q)
         return pose[:, :3, 3], -pose[:, :3, 2]
+
+    def spins(self, q: FloatArray) -> FloatArray:
+        """Return the turns of the tool about its axis [rad] from part X (n,).
+
+        Part X is carried from part Z to the tool axis by the least turn.
+        """
+        pose = self.poses(q)
+        side, axis = pose[:, :3, 0], -pose[:, :3, 2]
+        across, x = np.zeros((len(q), 3, 3)), np.array([1.0, 0.0, 0.0])
+        across[:, 0, 2], across[:, 2, 0] = axis[:, 0], -axis[:, 0]
+        across[:, 1, 2], across[:, 2, 1] = axis[:, 1], -axis[:, 1]
+        zero = x + across @ x + across @ across @ x / (1.0 + axis[:, 2:])
+        sine = (np.cross(zero, side) * axis).sum(axis=1)
+        return np.arctan2(sine, (zero * side).sum(axis=1))
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         raise InterpError('blocks.npz has rotary words, and an arm has no axes for them')

@@ -19,8 +19,9 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.completeness import prove_completeness
 from cnc_interp.proof.functions import prove_followed, prove_functions
 from cnc_interp.proof.limits_again import limits_of_differences, torques_of
-from cnc_interp.proof.order import order_of
+from cnc_interp.proof.order import JOINT_ROOM, order_of
 from cnc_interp.proof.overrides import Overrides, scaled
+from cnc_interp.proof.own_chain import OwnChain
 from cnc_interp.proof.own_errors import in_nominal_axes
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans
@@ -168,6 +169,9 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
 
 
 def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
+    # Given by poses, as a way at flank height.
+    spin = plan.blocks['extra_axes'][:, len(program.machine.extra_names) :].ravel()
+    way = program.path.way
     for a, b in spans(len(plan.position)):
         position, block = plan.position[a:b], plan.block[a:b]
         deviation = measure(program, position, block)
@@ -178,6 +182,15 @@ def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -
             beside = program.lines.improve(deviation, position, block)
             own = plan.blocks['contour_tolerance'][block]
             ledger.judge('axes beside their line', beside * own, own, slack=SLACK, first=a)
+        if len(spin) and isinstance(program.transform, OwnChain):
+            row, before = deviation.row, np.maximum(deviation.row - 1, 0)
+            step, turn = spin[row] - spin[before], 2.0 * np.pi * plan.flank_height
+            gap = spin[before] + deviation.part * step
+            gap -= plan.flank_height * program.transform.spins(position)
+            gap = np.abs(gap - turn * np.round(gap / turn))
+            # The nearest place of the program may be a tolerance away from that of the motion.
+            rate = np.abs(step) / np.maximum(way[row] - way[before], SLACK)
+            ledger.judge('spin', gap, JOINT_ROOM * contour * (1.0 + rate), slack=SLACK, first=a)
 
 
 def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> PlanFiles:

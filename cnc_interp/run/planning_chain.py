@@ -168,6 +168,8 @@ def spun_for(
     """
     if settings.spin == 'fixed' or not isinstance(transform, JointChain):
         return program, None, ''
+    if program.extra.shape[1] > len(transform.machine.extra_names):
+        return program, None, 'the poses give the spin'
     from cnc_interp.run.further_joints import placed
     from cnc_interp.run.spin_choice import SpinSearch
 

@@ -32,13 +32,18 @@ UNIT = 1e-9  #: Largest accepted deviation of the length of a tool axis from 1 [
 NO_SIGNALS = Signals()
 
 
-def check_block(message: G1Block, extra_count: int = 0, signals: Signals = NO_SIGNALS) -> None:
-    """Reject a block with impossible values, or with another number of extra axes."""
+def check_block(
+    message: G1Block, extra_count: int = 0, signals: Signals = NO_SIGNALS, spins: bool = False
+) -> None:
+    """Reject a block with impossible values, or with another number of extra axes.
+
+    With ``spins`` the spin of an arm may follow the extra axes.
+    """
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
     _check_interpolation(name, message)
     _check_control_point(name, message)
-    _check_extra(name, message.extra_axes, extra_count)
+    _check_extra(name, message.extra_axes, extra_count, spins)
     for field in ('contour_tolerance', 'orientation_tolerance', 'flank_height'):
         value = getattr(message, field)
         if not 0.0 < value < np.inf:
@@ -86,8 +91,8 @@ def _check_interpolation(name: str, message: G1Block) -> None:
         raise StreamError(f'{name}: linear rotary axes need positions at both ends; send numbers')
 
 
-def _check_extra(name: str, values: array[float], count: int) -> None:
-    if len(values) != count:
+def _check_extra(name: str, values: array[float], count: int, spare: int) -> None:
+    if len(values) not in (count, count + spare):
         told = f'extra_axes holds {len(values)} values, the machine needs {count}'
         raise StreamError(f'{name}: {told}')
     if not all(map(math.isfinite, values)):
@@ -108,7 +113,7 @@ def _check_control_point(name: str, message: G1Block) -> None:
 
 
 def check_segment(
-    message: PathSegment, extra_count: int = 0, signals: Signals = NO_SIGNALS
+    message: PathSegment, extra_count: int = 0, signals: Signals = NO_SIGNALS, spins: bool = False
 ) -> None:
     """Reject a segment that does not fit its kind or the machine's number of extra axes."""
     name = f'segment {message.sequence} (line {message.line_number})'
@@ -122,7 +127,7 @@ def check_segment(
             raise StreamError(f'{name}: connection must hold 6 or 8 points of 3 values')
     if kind == CORNER:
         _check_parametrization(f'{name}: parametrization', message.parametrization)
-    _check_extra(name, message.extra_axes, POINTS * extra_count)
+    _check_extra(name, message.extra_axes, POINTS * extra_count, POINTS * spins)
     check_functions(name, message.functions, signals)
     rotary = message.rotary.reshape(POINTS, 2)
     for place in rotary[:2]:

@@ -15,11 +15,13 @@ from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from cnc_interp_msgs.srv import MoveAxes
 from limit_use import limit_use
 from nodes_under_test import NodesUnderTest
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.commands.cli import main
+from cnc_interp.core import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import qos
 from cnc_interp.processes.node_processes import NODES
@@ -178,6 +180,23 @@ def test_hold_away_override_and_emergency_stop(bench, tmp_path, capsys):
     bench.result_of(handle)
     assert bench.press('reset').success
     bench.heard(start, first)
+
+
+def test_a_table_of_poses_gives_the_turn_of_the_tool(bench):
+    """From wherever the arm stands, and with what the tool turns to at each pose."""
+    turns = Rotation.from_euler('xz', [[180, 0], [180, 20], [175, -15]], degrees=True)
+    places = np.array([[-40.0, 0.0, 5.0], [20.0, 10.0, 5.0], [30.0, -20.0, 0.0]])
+    rows = np.hstack([places, turns.as_quat()]).tolist()
+    lines = [' '.join(map(str, [*row, 1500])) for row in rows]
+    text = '\n'.join(['x y z qx qy qz qw feed', *lines])
+    start, first = bench.place, len(bench.executed)
+    result = bench.run(text=text, name='part.csv')
+    assert result.code == RunProgram.Result.SUCCEEDED, result.message
+    frames = OwnChain.of(ARM).poses(bench.heard(start, first))
+    for place, wanted in zip(places * MM, turns, strict=True):
+        away = np.linalg.norm(frames[:, :3, 3] - place, axis=1)
+        off = Rotation.from_matrix(frames[away.argmin(), :3, :3]).inv() * wanted
+        assert away.min() < 0.03 * MM and off.magnitude() < np.radians(0.1)
 
 
 def test_an_emergency_stop_before_the_first_motion_ends_the_program(bench):

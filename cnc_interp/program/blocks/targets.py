@@ -101,6 +101,14 @@ class TargetColumns:
         for ready in self._radius.push(np.array(whole)):
             self._rows.extend(ready)
 
+    def give_spin(self) -> int:
+        """Let each target give the spin of an arm at flank height [m]; return its place."""
+        place = len(self._extra)
+        if place == len(self.extra_start):
+            raise ProgramError('poses need an arm with at most two further joints', self._source)
+        self._extra.append(col.EXTRA.start + place)
+        return place
+
     def begin_radius(
         self, distance: float, frame: FloatArray, own_entry: bool, told: Told | None
     ) -> None:

@@ -41,11 +41,6 @@ _STATEMENT = re.compile(r'([A-Z][A-Z0-9_]*)\s*(?:/\s*(.*)|(.*))')
 
 #: Marks a statement that is cut off by the end of the file.
 _UNENDED = '$'
-_NO_FEED = (
-    'no feedrate (FEDRAT) before the first cutting GOTO; write it, or choose one (settings, '
-    '--feed)'
-)
-
 
 _SAME_ANGLE = 1e-9  #: Directions with a smaller difference are equal [rad].
 
@@ -82,6 +77,11 @@ class Statement(NamedTuple):
 
 
 class ClReader:
+    no_feed = (
+        'no feedrate (FEDRAT) before the first cutting GOTO; write it, or choose one (settings, '
+        '--feed)'
+    )
+
     def __init__(self, geometry: Transform, settings: Settings, source: Source, notices: Notices):
         self.settings, self.source, self.notices = settings, source, notices
         self.targets = TargetColumns(geometry, settings, source.name)
@@ -226,7 +226,7 @@ class ClReader:
         rapid, self.rapid = self.rapid, False
         feedrate = inf if rapid or self.targets.empty else self.feedrate
         if feedrate is None:
-            raise self._fault(_NO_FEED, 'GOTO', DependsOn.STATE)
+            raise self._fault(self.no_feed, 'GOTO', DependsOn.STATE)
         speed = (feedrate, nan, rapid, 0.0)
         self.targets.state = self._state(rapid)
         self.targets.add(

@@ -112,6 +112,7 @@ _FORMS = {
         r'UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
         re.I,
     ),
+    'poses': re.compile(r'\s*(?:(?=.*\bqw\b).*\bqx\b|(?:header|poses):\s*$)', re.I),
     'gcode': re.compile(r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+]?\.?\d|:\d|O\d)', re.I),
 }
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from cnc_interp.core import DEG, MM, FloatArray, ProgramError
 from cnc_interp.proof.plain_klartext import Klartext
+from cnc_interp.proof.plain_poses import TABLE, poses_of
 
 #: G codes that have no effect in this reader.
 IDLE_G = frozenset(
@@ -144,6 +145,7 @@ class ReadMove:
     cutter: tuple[float, float] = (0.0, 0.0)
     turn_feed: float = float('nan')  #: Feed of a motion of rotary axes alone [rad/s].
     length: float = 0.0  #: Tool length beyond the tip of the machine file [m].
+    spin: float = float('nan')  #: Turn of the tool about its axis, if a pose gives it [rad].
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,11 @@ def read_plainly(
     state = _State(name, axis_names, settings)
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
     klartext = None
+    if TABLE.match(text):
+        for pose in poses_of(text.upper().splitlines(), state.feed, state.refuse):
+            state.line, state.here[:3], state.tool, state.spin, state.feed = pose
+            state.add(0, None)
+        return state.read
     if re.search(r'^\s*(?:\d+\s+)?BEGIN PGM\b', text, re.MULTILINE | re.IGNORECASE):
         klartext = Klartext(state.refuse, bool(settings.tools))
     for number, line in enumerate(text.splitlines(), start=1):
@@ -212,6 +219,7 @@ class _State:
         self.here = np.zeros(len(axis_names))  # in m and rad
         self.here[len(axis_names) - len(settings.beside) :] = settings.beside
         self.tool: FloatArray | None = None
+        self.spin = float('nan')
         self.motion, self.plane, self.unit = '', PLANES['17'], MM
         self.absolute, self.inverse, self.tcp = True, False, False
         self.feed = float('nan') if settings.feed is None else settings.feed
@@ -545,5 +553,6 @@ class _State:
                 cutter=self.cutter,
                 turn_feed=self.turn_feed * turn,
                 length=self.length,
+                spin=self.spin,
             )
         )

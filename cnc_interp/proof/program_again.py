@@ -36,6 +36,7 @@ from cnc_interp.proof.verdict import Proof
 
 # Ends agree within this [m, -, rad] and so many last digits; feeds and durations by this share.
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
+SAME_TURN = 1e-9  #: Turns about the tool axis that differ by less are equal [whole turns].
 STILL = 1e-12  #: A shorter way counts as zero: the turning axes then set the time [m].
 ROUNDED = 0.75  #: Largest error of a printed angle, in last digits.
 # A row inside a motion may lie beside it by this share of the tolerances: curves become lines.
@@ -139,7 +140,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         )
         moves = read_plainly(text, str(program), names, plain)
         by_lines = _Comparison(plan.blocks, machine, tolerances)
-        by_lines.combined = combined
+        by_lines.combined, by_lines.height = combined, plan.flank_height
         found.append(by_lines.follow(_as_planned(moves, settings)))
         found.append(replace(found[-1], faults=by_lines.waits(plan)))
         readers.append('read by the second reader of plain words')
@@ -182,6 +183,7 @@ class _Comparison:
         self.transform = Transform.of(machine)
         # Whether degrees count in the feed, as millimetres; both where the text leaves it open.
         self.combined: tuple[bool, ...] = (False,)
+        self.height = float('nan')  # flank height [m]
         self.faults: list[str] = []
         self.row = self.motions = self.arcs = 0  # row: the first one that is not compared yet
         # Axis positions with the tip at the workpiece zero and the rotary axes at zero.
@@ -296,9 +298,13 @@ class _Comparison:
             away = float(np.abs(rotary - move.rotary).max())
             if away > angle:
                 self.fault(move, f'its rotary words are {away:.3g} rad from those of row {end}')
-        extra = self.blocks['extra_axes'][end]
+        extra, spin = np.split(self.blocks['extra_axes'][end], [len(move.extra)])
         if (np.abs(extra - move.extra) > SAME_PLACE).any():
             self.fault(move, f'its extra axes are not those of row {end}')
+        gap = (spin / self.height - move.spin) / (2.0 * np.pi)
+        turns = self.machine.arm is not None and np.isfinite(move.spin)
+        if len(gap) != turns or not (np.abs(gap - np.round(gap)) <= SAME_TURN).all():
+            self.fault(move, f'its turn about the tool axis is not that of row {end}')
         if before is not None:
             self.way(move, before, rows)
             self.speed(move, before, rows)

@@ -66,7 +66,7 @@ def misses(position, places, rotations, machine='ur10e'):
 @pytest.mark.parametrize('machine', ['ur10e', 'm710ic_50'])
 def test_an_arm_keeps_the_turns_of_a_table(machine, tmp_path, capsys):
     plan = planned(tmp_path, table(), machine=machine)
-    assert main(['check', str(plan)]) == 0
+    assert main(['check', str(plan), '--program', str(tmp_path / 'part.csv')]) == 0
     told = capsys.readouterr().out
     assert '\nspin  ' in told and told.endswith('proven\n')
     position = np.load(plan / 'setpoints.npz')['position']
@@ -102,6 +102,13 @@ def test_a_recorded_path_is_the_same_program(tmp_path, capsys):
     assert first.extra.shape == (6, 1) and np.ptp(first.extra) > 0.01
     planned(tmp_path, path(PLACES, turned()), '--feed', '1500', '--spin', 'auto', name='path.yaml')
     assert 'the poses give the spin' in capsys.readouterr().err
+    words = ['check', str(tmp_path / 'plan'), '--program', str(tmp_path / 'path.yaml')]
+    assert main(words) == 0
+    # Another program, in which one pose is turned by 0.1 deg.
+    turned_by = turned(turns=TURNS + np.array([0, 0, 0, 0.1, 0, 0]))
+    (tmp_path / 'path.yaml').write_text(path(PLACES, turned_by))
+    assert main(words) == 1
+    assert 'line 54 of the program: its turn about the tool axis' in capsys.readouterr().out
 
 
 def test_a_machine_with_rotary_axes_takes_only_the_tool_axis():

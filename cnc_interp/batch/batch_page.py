@@ -133,7 +133,7 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
         _time_section(rows),
         html.section(
             'Plans',
-            'Press a heading to sort. Each use is the largest one proven of any axis at any place.'
+            'Press a heading to sort. Each use is the largest one proven of any axis.'
             + (
                 f' Only {MOST_ROWS:,} rows are shown; table.csv has all.'
                 if len(rows) > MOST_ROWS
@@ -178,9 +178,9 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
             hovertemplate='%{text}<br>bound %{x:.3f} s, %{y:.3f} times as long<extra></extra>',
         )
     titles = {
-        'xaxis_title': 'least time of any motion without jerk limits [s]',
+        'xaxis_title': 'lower bound of the time, without jerk limits [s]',
         'xaxis_type': 'log',
-        'yaxis_title': 'cycle time / least time [-]',
+        'yaxis_title': 'cycle time / lower bound [-]',
     }
     return html.section(
         'Cycle times',

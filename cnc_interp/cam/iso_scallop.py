@@ -119,7 +119,7 @@ class PassRecursion:
             radius = (self.cutter.tool_radius + self.cutter.corner_radius) / MM
             raise SurfaceError(
                 f'the mill of {radius:.4g} mm radius does not fit into the surface at the guiding '
-                f'plane at {plane / MM:.4g} mm; take a smaller mill'
+                f'plane at {plane / MM:.4g} mm; use a smaller mill'
             )
         kept = kept_places(curve, angles.s, reach, self.options.overrun)
         if not kept.any():
@@ -167,7 +167,7 @@ class PassRecursion:
         try:
             made = self.fresh_pass(plane, number)
             if plane - before.plane > self.room(before, made.curve, made.angles):
-                raise StripError(problem, 'take a smaller plane distance')
+                raise StripError(problem, 'use a smaller plane distance')
         except (HeelError, StripError, WideStripError) as error:
             return self.closer_pass(before, plane, number, error)
         self.notes.append(f'pass {number} starts afresh: {problem}')
@@ -276,7 +276,7 @@ class PassRecursion:
             i = run[int(np.argmax(np.diff(fit.s[run]) <= 0.0))]
             raise NoPassError(
                 f'pass {number} would run backwards at {place(before.right.position[i])}',
-                'take fewer points or a smaller plane distance',
+                'use fewer points or a smaller plane distance',
             )
         angles = Angles(fit.s[run], fit.tilt[run], fit.yaw[run])
         postures = angles.postures(curve, self.cutter, fit.s)
@@ -293,7 +293,7 @@ class PassRecursion:
             raise NoPassError(
                 f'pass {number}, point {i + 1} at {place(before.right.position[i])}: the mill '
                 'leaves a higher ridge before it reaches the scallop of the previous pass',
-                'take a smaller plane distance, a larger tilt or the tilt as the free angle',
+                'use a smaller plane distance, a larger tilt or the tilt as the free angle',
             )
 
     def finished(
@@ -311,7 +311,7 @@ class PassRecursion:
             raise NoPassError(
                 f'pass {number}, point {i + 1} at {place(postures.contact[i])}: the mill '
                 f'leaves no scallop of {self.options.scallop_height / UM:g} um within its width',
-                'take a larger tilt, a smaller scallop height or a smaller plane distance',
+                'use a larger tilt, a smaller scallop height or a smaller plane distance',
             )
         if not right.found.all():
             run = places_around(right.found, kept)
@@ -333,7 +333,7 @@ class PassRecursion:
             raise HeelError(
                 f'pass {number} at {place(tool.contact[i])}: the bottom of the mill enters the '
                 f'surface by {depth[i] / UM:.0f} um; the surface is hollow there',
-                'take a larger tilt or a smaller mill',
+                'use a larger tilt or a smaller mill',
             )
 
     def diagnosis(
@@ -352,7 +352,7 @@ class PassRecursion:
         if o.freedom == 'yaw':
             return (
                 f'{where}: no yaw at a tilt of {o.tilt / DEG:g} deg fits {distance / MM:.3f} mm',
-                'take a smaller tilt for a wider strip',
+                'use a smaller tilt for a wider strip',
             )
         wide, narrow = (before.reach + self.left_reach(curve, before, x) for x in (low, high))
         found = f'{fit.tilt[i] / DEG:.2f} deg' if fit.found[i] else 'none'
@@ -452,7 +452,7 @@ def iso_scallop_paths(
     refuse_if(
         cutter.is_ball,
         SurfaceError(
-            'the strip of a ball mill does not depend on its tilt; take a corner radius smaller '
+            'the strip of a ball mill does not depend on its tilt; use a corner radius smaller '
             'than half the diameter'
         ),
     )

@@ -52,7 +52,7 @@ class Needles:
         demand(
             counted.any(),
             InterpError(
-                f'no needle lies {margin / MM:g} mm inside the border; take a smaller margin'
+                f'no needle lies {margin / MM:g} mm inside the border; use a smaller margin'
             ),
         )
         return needles if counted.all() else replace(needles, counted=counted)

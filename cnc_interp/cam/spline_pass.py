@@ -164,7 +164,7 @@ def cut_back(
     demand(
         parts,
         SurfaceError(
-            'on every pass the mill would enter other faces of the part; take a smaller mill, or '
+            'on every pass the mill would enter other faces of the part; use a smaller mill, or '
             '--ignore-neighbours'
         ),
     )

@@ -200,7 +200,7 @@ class StepFace:
         refuse_if(
             (round_u and u1 - u0 > self.geometry.UPeriod() - 1e-6)
             or (round_v and v1 - v0 > self.geometry.VPeriod() - 1e-6),
-            SurfaceError('the face goes all the way round; split it in the CAD system'),
+            SurfaceError('the face is closed around its axis; split it in the CAD system'),
         )
         return (u0, u1), (v0, v1)
 

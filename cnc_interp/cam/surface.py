@@ -190,7 +190,7 @@ class Surface(ABC):
         if inside.any():
             raise SurfaceError(
                 f'the offset by {offset / MM:g} mm meets another part of the surface at '
-                f'{_place(point, inside)}; take a smaller corner radius'
+                f'{_place(point, inside)}; use a smaller corner radius'
             )
 
 

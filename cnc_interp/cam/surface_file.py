@@ -154,7 +154,7 @@ def read_step_safely(path: Path, faces: Sequence[int], note: Callable[[str], Non
     if code := child.returncode:
         why = f'it ended by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
         if code == -signal.SIGXCPU:
-            why = 'reading it takes longer than a file of its length may need'
+            why = 'reading it takes too long for a file of its size'
         raise SurfaceError(f'{path}: OpenCASCADE cannot read it: {why}')
     part, notes, refusal = pickle.loads(child.stdout)
     for text in notes:
@@ -179,7 +179,7 @@ def answer(path: Path, faces: Sequence[int]) -> tuple[Part | None, list[str], st
         return (
             None,
             notes,
-            f'{path}: it would unpack to far more than a file of this length can hold',
+            f'{path}: it would unpack to far more than a file of this size can contain',
         )
     except Exception as fault:  # bindings of OpenCASCADE raise anything
         reason = ' '.join(str(fault).split())[:200] or type(fault).__name__

@@ -83,7 +83,7 @@ def offered(profile: QoSProfile) -> interfaces.Qos:
 def refuse_existing(path: Path) -> None:
     """Raise InterpError if something already exists at the path of a new bag."""
     if path.exists():
-        raise InterpError(f'{path} is there already; name a new folder for the bag')
+        raise InterpError(f'{path} exists already; name a new folder for the bag')
 
 
 LOST_AT_MOST = 1_000_000_000  #: Longest time that is lost if the recorder is killed [ns].
@@ -170,7 +170,7 @@ def files_of(path: Path) -> list[Path]:
 def why(fault: Exception) -> str:
     """Return a one-line reason why a file cannot be read."""
     if isinstance(fault, MemoryError):
-        return 'it would unpack to far more than a file of this length can hold'
+        return 'it would unpack to far more than a file of this size can contain'
     return ' '.join(str(fault).split())[:200] or type(fault).__name__
 
 
@@ -338,7 +338,7 @@ def repair(path: Path, out: Path) -> tuple[int, float]:
                 stamps = [stamps[0] or record.log_time, record.log_time]
     writer.close()
     if not writer.count:
-        raise InterpError(f'{path}: no whole message is left in it')
+        raise InterpError(f'{path}: it contains no complete message')
     return writer.count, (stamps[-1] - stamps[0]) * 1e-9
 
 

@@ -124,6 +124,6 @@ class RecorderProcess:
             self._process.join()
             self._pipe.close()
         if self.fault is None and WHOLE not in self._said:
-            self.fault = OSError(errno.ETIMEDOUT, 'its recorder does not end', str(self._path))
+            self.fault = OSError(errno.ETIMEDOUT, 'its recorder does not stop', str(self._path))
         if self.fault is not None:
             raise self.fault

@@ -124,7 +124,7 @@ class Repetition:
             if not number:
                 planner = self._planner(recorded[0], settings)
             elif planner is None or number - 1 not in rests:
-                text = f'the record lacks the place where plan {number - 1} stopped'
+                text = f'the record does not show where plan {number - 1} stopped'
                 raise InterpError(f'{self._bag.path}: {text}')
             else:
                 planner.resume(rests[number - 1], recorded[0].samples.position[0], settings)

@@ -44,7 +44,7 @@ STOP_TEXTS = {
     MachineState.REASON_PROGRAM_STOP: 'program stop',
     MachineState.REASON_OPTIONAL_STOP: 'optional stop',
     MachineState.REASON_SINGLE_BLOCK: 'single block',
-    MachineState.REASON_APPROACH: 'the way to the path is ready: retract, position, plunge',
+    MachineState.REASON_APPROACH: 'the approach is ready: retract, position, plunge',
     MachineState.REASON_FUNCTION: 'an output waits for the operator',
 }
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)

@@ -87,7 +87,8 @@ def check_place(namespace: str, domain: int) -> None:
         validate_namespace(f'/{namespace.lstrip("/")}')
     except InvalidNamespaceException:
         raise InterpError(
-            f'namespace {namespace!r}: letters, digits and _ between slashes, no digit first'
+            f'namespace {namespace!r}: may have only letters, digits and _ between slashes, '
+            'and no digit first'
         ) from None
 
 

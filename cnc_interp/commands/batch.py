@@ -50,7 +50,7 @@ def add_batch_commands(commands: Any) -> None:
         workers_option('programs that are planned at the same time'),
         option('--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS'),
         flag('--keep-plans', 'keep the plan files of all programs in DIR/plans'),
-        option('--rate', 'what an hour of the machine costs', positive, 'COST'),
+        option('--rate', 'cost of one hour of the machine', positive, 'COST'),
         option(
             '--memory',
             'largest memory of a worker (that of the computer, divided among them)',

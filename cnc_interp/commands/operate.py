@@ -39,7 +39,7 @@ def add_operate_commands(commands: Any) -> None:
         flag(
             '--pose',
             'the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
-            'the tool axis; what is not named stays unchanged',
+            'the tool axis; omitted letters stay unchanged',
         ),
         option(
             '--tool',
@@ -94,7 +94,7 @@ def add_operate_commands(commands: Any) -> None:
             float,
             'MM',
         ),
-        option('--pocket', 'its place in the tool changer; 0: none', int),
+        option('--pocket', 'its pocket in the tool changer; 0: none', int),
         option('--remark', 'a remark, such as its name', metavar='TEXT'),
         option(
             '--holder',
@@ -173,7 +173,7 @@ def add_operate_commands(commands: Any) -> None:
             'MM',
             default=0.0,
         ),
-        option('--beside', 'way before a touch (5)', positive, 'MM', default=5.0),
+        option('--beside', 'distance before a touch (5)', positive, 'MM', default=5.0),
         option('--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0),
         option('--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0),
         _angles('primary', -30.0, 30.0),

@@ -52,7 +52,7 @@ ELSEWHERE = {
     ('TRAJ', 'MAX_ACCELERATION'): 'the limits are those of the axes',
     ('TRAJ', 'MAX_ANGULAR_ACCELERATION'): 'the limits are those of the axes',
     ('TRAJ', 'MAX_LINEAR_JERK'): 'the limits are those of the axes',
-    ('HAL', 'POSTGUI_HALFILE'): 'it connects a user interface that does not run here',
+    ('HAL', 'POSTGUI_HALFILE'): 'it connects a user interface that cnc_interp does not run',
 }
 
 

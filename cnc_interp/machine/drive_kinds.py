@@ -107,7 +107,9 @@ def _limits(machine: Machine, values: Values) -> FloatArray:
 
 LIMITS = (
     Declared('following_error_limit', 1e-3, 'Largest following error of linear axes [m]', 1e-6, 1),
-    Declared('following_angle_limit', 0.02, 'The same of rotary axes [rad]', 1e-6, 7),
+    Declared(
+        'following_angle_limit', 0.02, 'Largest following error of rotary axes [rad]', 1e-6, 7
+    ),
 )
 KINDS = {
     'simulated': DriveKind(
@@ -148,7 +150,9 @@ KINDS = {
                 'Topic with the speed at which the robot executes trajectories; if empty, it '
                 'always executes them at full speed',
             ),
-            Declared('controller_full_speed', 100.0, 'Its value at full speed', 1e-3, 1e6),
+            Declared(
+                'controller_full_speed', 100.0, 'Value of the speed topic at full speed', 1e-3, 1e6
+            ),
             Declared(
                 'controller_delay',
                 0.2,

@@ -80,7 +80,7 @@ class Jog:
         silence = now - self._beat_at
         moves, fresh = bool(wanted.any()), silence > LATE
         if moves and isinstance(self._wish, Move):
-            raise StreamError('a move is under way; feed_hold ends it')
+            raise StreamError('a move is in progress; feed_hold ends it')
         ended = silence if self._held and LATE < silence < GIVEN_UP else 0.0
         self._beat_at, self._held = now, False
         self._released = self._released or fresh or not moves

@@ -139,7 +139,7 @@ class TrajectoryDrives(DelayedDrives):
         while not (self._controller.listens() and self._report.stamp > settled):
             if time.monotonic() > deadline:
                 listens = self._controller.listens()
-                cause = self._silent if listens else 'it takes no trajectories; is it active?'
+                cause = self._silent if listens else 'it accepts no trajectories; is it active?'
                 raise DriveFaultError(f'{self._controller.name}: {cause}')
             time.sleep(0.01)
             self._take_reports()

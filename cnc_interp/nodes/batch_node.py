@@ -56,7 +56,7 @@ class BatchNode(Node):
 
     def _accept(self, handle: Any) -> None:
         if self._handle is not None:
-            busy = 'a batch is under way; wait for its end, or cancel it'
+            busy = 'a batch is running; wait for its end, or cancel it'
             end_goal(handle, PlanBatch.Result(message=busy), succeeded=False)
             return
         self._handle, self._time_left = handle, TimeLeft()
@@ -93,7 +93,9 @@ class BatchNode(Node):
         if not folder:
             raise InterpError('batch_node was started without batch_folder; give it one')
         if not NAME.fullmatch(goal.name):
-            raise InterpError('name: letters, digits, dots, blanks and dashes, at most 100')
+            raise InterpError(
+                'name: may have at most 100 letters, digits, dots, blanks and dashes'
+            )
         folders = self._values['program_folders']
         programs = [require_inside(Path(program), folders) for program in goal.programs]
         for program, _ in programs_of(programs):  # a link in a folder may lead out of it

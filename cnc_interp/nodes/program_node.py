@@ -76,7 +76,7 @@ class Mdi:
     def refusal(self, run: ProgramRun, peers: Peers, missing: str, busy: bool) -> Outcome | None:
         """Return why a line cannot start now; if it can, store the machine's position."""
         if busy:
-            return Outcome(Code.BUSY, 'a program is running; give the line when it has ended')
+            return Outcome(Code.BUSY, 'a program is running; enter the line when it has ended')
         machine = peers.machine
         run.name, run.stands = MDI, None if machine is None else machine.stands
         return why_not(missing, machine)

@@ -122,7 +122,7 @@ class ProgramRun:
                 return why_not(missing, machine)
             if machine.is_free:
                 if self.stands is not None and np.abs(machine.stands - self.stands).max() > SAME:
-                    text = 'the axes have moved since the line was given; give it again'
+                    text = 'the axes have moved since the line was entered; enter it again'
                     return Outcome(Code.BUSY, text)
                 self._change(PhaseChange.START, now)
                 return None

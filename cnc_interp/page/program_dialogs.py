@@ -118,7 +118,7 @@ class EditorDialog:
         if other and there and self._agreed != name:
             self._agreed = name
             self._save.set_text(AGREED)
-            return Answer(False, f'{name} is there already: press overwrite, or change the name')
+            return Answer(False, f'{name} exists already: press overwrite, or change the name')
         self._agreed = ''
         self._save.set_text('save')
         return await self._desk.save(name, text)

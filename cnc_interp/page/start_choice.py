@@ -36,7 +36,7 @@ class StartChoice:
         which = f', pass {self.which}' if self.which else ''
         return (
             f'the next run starts at line {self.line}{which}; '
-            'cycle start shows the way there, nothing moves yet'
+            'cycle start shows the approach, nothing moves yet'
         )
 
 

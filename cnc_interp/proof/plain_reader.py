@@ -468,7 +468,7 @@ class _State:
             away *= self.factor()[[a, b]]
             gap = abs(np.linalg.norm(start[[a, b]] + away - end[[a, b]]) - np.linalg.norm(away))
             if gap > max(0.1 * MM, 0.01 * float(np.linalg.norm(away))):
-                raise self.refuse('an arc whose I J K are not the way from its start')
+                raise self.refuse('an arc whose I J K are not the vector from its start')
             return np.asarray(start[[a, b]] + away)
         chord = end[[a, b]] - start[[a, b]]
         size = abs(float(self.factor()[a])) * self.unit

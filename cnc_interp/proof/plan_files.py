@@ -437,7 +437,7 @@ def _stored(file: Path) -> dict[str, Stored]:
             content.seek(member.header_offset)
             local = content.read(LOCAL_HEADER.size)
             if len(local) < LOCAL_HEADER.size or not local.startswith(b'PK\3\4'):
-                raise ValueError(f'{member.filename} is not where the archive says')
+                raise ValueError(f'{member.filename} is not at the place that the archive states')
             start = member.header_offset + LOCAL_HEADER.size + sum(LOCAL_HEADER.unpack(local)[1:])
             with archive.open(member) as column:
                 shape, in_columns, kind = _array_header(column)
@@ -482,7 +482,7 @@ def _check_lengths(file: Path) -> None:
                 if kind.hasobject or min(shape, default=1) < 0:
                     raise ValueError(f'{member.filename} does not hold numbers')
                 if column.tell() + told != member.file_size:
-                    raise ValueError(f'{member.filename} does not have the length that it tells')
+                    raise ValueError(f'{member.filename} does not have the length that it states')
 
 
 def _reason(fault: Exception) -> str:

@@ -111,7 +111,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     combined = (False,) if linuxcnc else combined
     try:
         if not linuxcnc and _OTHER_HOLES.search(text):
-            raise LinuxCNCError('LinuxCNC leaves the holes of G74, G84 and G89 in another way')
+            raise LinuxCNCError('LinuxCNC retracts from the holes of G74, G84 and G89 differently')
         moves: Iterable[Read] = second.read_by_linuxcnc(
             text, names, skip, len(plan.blocks['tip']), setup
         )

@@ -143,7 +143,9 @@ class RunPlanner:
     def finish(self) -> None:
         """End the path; raise PlanningError if it ends before the place of continuation."""
         if self._starts is None:
-            raise PlanningError('the program ends before the place where the run continues; reset')
+            raise PlanningError(
+                'the program ends before the position where the run continues; reset'
+            )
         self.stream.end_leg(Wait.END)
 
     def work(self, plan: MotionPlan, sample: bool, executed: float) -> list[Chunk]:
@@ -165,7 +167,7 @@ class RunPlanner:
         if self._starts is not None and s <= self._starts[0]:  # it was on the approach
             (s, there), inside = self._starts, self._continue_at is not None
         if there is None:
-            raise PlanningError('the place where the run continues is no longer known; reset')
+            raise PlanningError('the position where the run continues is no longer known; reset')
         self.stream.resume(s, settings, self._way(stands, there, inside))
 
     def revise(self, number: int, settings: OperatorSettings) -> Revision | None:

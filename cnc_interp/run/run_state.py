@@ -124,7 +124,7 @@ TEXTS = {
     Reason.DRIVE_FAULT: 'fault of a drive: {}; press reset to continue',
     Reason.STREAM_REFUSED: '{}',
     Reason.APPROACH: (
-        'the way to the path is ready: retract along the tool, position, plunge; press cycle '
+        'the approach is ready: retract along the tool, position, plunge; press cycle '
         'start to move'
     ),
     Reason.AWAY: (

@@ -211,7 +211,7 @@ class TracedRun:
                 windows.append((first, event))
                 first = event
         if not windows:
-            raise InterpError(f'{trace.name}: no {SPAN:g} s of motion without a function')
+            raise InterpError(f'{trace.name}: no {SPAN:g} s of motion in which no function acts')
         return TracedRun(program, trace, np.array(windows))
 
     @staticmethod

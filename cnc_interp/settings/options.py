@@ -52,7 +52,7 @@ class Settings:
     rotary_sense: str = kinds.one_of(
         ('programmed', 'shortest'),
         READING,
-        'rotary words as programmed, or the shortest way there',
+        'rotary words as programmed, or the shortest turn',
     )
     dialect: str = kinds.one_of(
         ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'),

@@ -225,7 +225,7 @@ def check_state(message: MachineState, axis_count: int | None = None) -> None:
     if len(message.resume_positions):
         _check_rows(f'{name}: resume_positions', message.resume_positions, count)
     if message.state > MachineState.JOGGING or not message.interpolation_period > 0.0:
-        raise StreamError(f'{name}: it is no state of a working machine')
+        raise StreamError(f'{name}: a working machine has no such state')
     for field in ('interpolation_period', 'path_position'):
         if not math.isfinite(getattr(message, field)):
             raise StreamError(f'{name}: {field} is not finite')

@@ -100,7 +100,7 @@ def test_the_bag_of_a_killed_recorder_is_repaired(tmp_path, capsys):
     assert 100 < len(left) < len(whole) and left == whole[: len(left)]
     file.write_bytes(file.read_bytes()[:1000])
     assert main(['repair', str(killed), '--out', str(tmp_path / 'none')]) == 2
-    assert 'no whole message is left' in capsys.readouterr().err
+    assert 'contains no complete message' in capsys.readouterr().err
 
 
 def test_a_killed_recorder_loses_a_second_at_most(tmp_path):
@@ -270,7 +270,7 @@ def test_what_is_missing_is_named(tmp_path, capsys):
     assert main(['check', str(tmp_path / 'no_path')]) == 2
     assert 'segment 0' in capsys.readouterr().err
     assert main(['record', str(HELD)]) == 2
-    assert 'is there already' in capsys.readouterr().err
+    assert 'exists already' in capsys.readouterr().err
     shutil.copytree(HELD, tmp_path / 'cut')
     (file,) = (tmp_path / 'cut').glob('*.mcap')
     file.write_bytes(file.read_bytes()[:2000])

@@ -75,7 +75,7 @@ def test_yaw_and_tilt_together_where_each_alone_does_not_fit(monkeypatch):
     angles = constant_tilt(curve, highest, -40 * DEG, 25)
     before = recursion.finished(curve, angles, np.zeros(1, np.int64), fresh=True, number=1)
     # Tilt alone: even the largest leaves the heel in the bump.
-    reason = HeelError('pass 2: the bottom of the mill enters the surface', 'take a smaller mill')
+    reason = HeelError('pass 2: the bottom of the mill enters the surface', 'use a smaller mill')
     assert recursion.closest(before, -1 * MM, 0.0) is None
     made = recursion.closer_pass(before, -1 * MM, 2, reason)
     yaw, tilt = made.angles.yaw, made.angles.tilt

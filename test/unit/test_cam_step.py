@@ -545,7 +545,7 @@ def whole_cylinder(part):
     [
         (offset_plane, 'offset surface is not supported'),
         (line_as_a_face, 'spans no rectangle'),
-        (whole_cylinder, 'goes all the way round'),
+        (whole_cylinder, 'is closed around its axis'),
         (
             lambda part: part.face(part.add(f"SPHERICAL_SURFACE('',{part.frame()},5.)")),
             'way round',
@@ -602,7 +602,7 @@ def test_nothing_is_imported_from_the_folder_of_the_user(monkeypatch, tmp_path):
         (signal.SIGSEGV, 'it ended by SIGSEGV'),
         pytest.param(
             signal.SIGXCPU,
-            'reading it takes longer than a file of its length may need',
+            'reading it takes too long for a file of its size',
             marks=pytest.mark.thorough,
         ),
     ],
@@ -620,12 +620,10 @@ def test_time_and_memory_of_a_file_are_limited(monkeypatch, tmp_path):
     monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
     path = two_faces().write(tmp_path / 'a.step')
     (tmp_path / 'OCP.py').write_text('kept = [bytes(1 << 20) for _ in range(1 << 13)]\n')
-    with pytest.raises(SurfaceError, match='more than a file of this length can hold'):
+    with pytest.raises(SurfaceError, match='more than a file of this size can contain'):
         read_surface(path, 1)
     (tmp_path / 'OCP.py').write_text('while True:\n    pass\n')
-    with pytest.raises(
-        SurfaceError, match='reading it takes longer than a file of its length may need'
-    ):
+    with pytest.raises(SurfaceError, match='reading it takes too long for a file of its size'):
         read_surface(path, 1)
 
 

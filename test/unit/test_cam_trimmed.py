@@ -74,7 +74,7 @@ def test_passes_end_at_the_boundary_and_hop_over_the_hole():
     middle = surface.at(np.full((1, 2), 2 * MM), np.array([[-0.5 * MM, 0.5 * MM]]))
     hole = cut_needles(Needles(middle.position, middle.normal), MILL, path.tip, path.axis)
     assert (hole.height > 0.05 * MM).all()
-    with pytest.raises(InterpError, match='inside the border; take a smaller margin'):
+    with pytest.raises(InterpError, match='inside the border; use a smaller margin'):
         Needles.on(surface, 0.2 * MM, 6 * MM)
 
 

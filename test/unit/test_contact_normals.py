@@ -159,7 +159,7 @@ def test_a_hollow_surface_that_the_tool_does_not_fit_is_refused_with_its_line():
         ('G49\nG41.2 D1\nG1 X1 K1', 'G41.2: needs tool-tip programming; write M428'),
         ('G49\nG43.5\nG41.2 D1\nG1 X1 K1', 'G41.2: with G43.5 I J K are the tool direction'),
         ('G41.2 D1\nG1 X1 K1\nG54', 'G54: G41.2 is on; write G40 first'),
-        ('CUT3DC\nG41 D1\nG1 X1', 'CUT3DC: of compensation in space only CUT3DF'),
+        ('CUT3DC\nG41 D1\nG1 X1', 'CUT3DC: the only supported compensation in space is CUT3DF'),
     ],
 )
 def test_what_cannot_be_compensated_is_refused_in_one_line(text, part):

@@ -225,7 +225,7 @@ def test_random_contours_are_followed_at_the_radius_or_refused(radii, radius, le
             'G3 X-.25 Y-1.5262 I.0625 J.1083\nG1 Y-2\nG40',
             r'part\.nc:9: the cutter does not fit',
         ),
-        ('CUT3DC\nG41 D1\nG1 X0', 'of compensation in space only CUT3DF'),
+        ('CUT3DC\nG41 D1\nG1 X0', 'the only supported compensation in space is CUT3DF'),
     ],
 )
 def test_what_cannot_be_compensated_is_refused_with_its_line(text, part):
@@ -273,7 +273,7 @@ def test_a_cut_into_the_part_is_refused_also_beside_leads(contour):
 def test_rotary_motion_is_refused_beside_a_contour():
     with pytest.raises(ProgramError, match='rotary motion'):
         read('G0 X-20 Y0 A0 C0\nG41 D1\nG1 X0 Y0 F900\nX40 A5', AC)
-    with pytest.raises(ProgramError, match='move to a place beside the contour'):
+    with pytest.raises(ProgramError, match='move to a position beside the contour'):
         read('G41 D1\nG0 X0')
     with pytest.raises(ProgramError, match='upright'):
         read('TRAORI\nG0 X-20 Y0 A20 C0\nG41 D1\nG1 X0 Y0 F900\nX40', AC)

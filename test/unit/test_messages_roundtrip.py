@@ -298,12 +298,12 @@ NAN, INF = float('nan'), float('inf')
         (MachineState, 'positions', [], '0 values'),
         (MachineState, 'resume_positions', [0.0], '1 values'),
         (MachineState, 'path_position', NAN, 'path_position'),
-        (MachineState, 'interpolation_period', 0.0, 'no state of a working machine'),
+        (MachineState, 'interpolation_period', 0.0, 'a working machine has no such state'),
         (MachineState, 'feed_override', INF, 'feed_override'),
         (MachineState, 'feed_override', 1e-7, 'feed_override'),
         (MachineState, 'rapid_override', -1.0, 'rapid_override'),
         (MachineState, 'spindle_override', NAN, 'spindle_override'),
-        (MachineState, 'state', 99, 'no state of a working machine'),
+        (MachineState, 'state', 99, 'a working machine has no such state'),
     ],
 )
 def test_unsound_values_are_refused_by_name(kind, field, value, word):

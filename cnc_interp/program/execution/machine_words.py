@@ -38,7 +38,7 @@ def set_speed(at: Execution, words: BlockWords) -> None:
     if 'G96' in words.g and by_surface:
         mover.surface_limit = abs(words.values.pop('D', 0.0))
         if speed is None:
-            raise at.fault('write S, the speed of the surface, in the same block', 'G96')
+            raise at.fault('write S, the surface speed, in the same block', 'G96')
         at.refuse_if(
             mover.tcp or (mover.rotary_letters and mover.rotary.any()),
             'the rotary axes must be at 0, without tool-tip programming',

@@ -62,7 +62,7 @@ def thread(at: Execution, code: str, words: BlockWords) -> None:
         mover.motion = None
         return
     pitch = words.values.pop(letter, 0.0) * mover.unit
-    at.demand(pitch > 0.0, f'needs {letter}, the way per turn', code)
+    at.demand(pitch > 0.0, f'needs {letter}, the travel per turn', code)
     target = mover.frames.point(mover.target(words)[:3])
     if code == 'G32' and (way := np.abs(target - mover.point)).any():
         pitch *= float(np.linalg.norm(way)) / way.max()  # F counts along the longest axis

@@ -27,7 +27,9 @@ def scale_or_mirror(at: Execution, code: str, words: BlockWords) -> None:
         return
     _demand_rest(at, code)
     if code == 'G51.1':
-        at.demand(given, 'give the axis and the place at which it is mirrored, such as X0', code)
+        at.demand(
+            given, 'give the axis and the position at which it is mirrored, such as X0', code
+        )
         frames.mirrors |= given
     elif code == 'G50.1':
         for i in given or list(frames.mirrors):
@@ -87,4 +89,4 @@ def scale_or_mirror_frame(at: Execution, key: str, words: BlockWords) -> None:
         else:
             frames.mirrors[i] = 0.0
     frames.update()
-    mover.notice(key, 'it acts about the zero of the frame; tool lengths and radii are kept')
+    mover.notice(key, 'it acts about the zero of the frame; tool lengths and radii do not change')

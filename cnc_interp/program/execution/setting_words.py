@@ -77,7 +77,7 @@ def end_plane(at: Execution, *_: object) -> None:
 def begin_polar(at: Execution, code: str, _: BlockWords) -> None:
     at.demand(
         at.mover.dialect in MODES['polar'].dialects,
-        'polar coordinates are those of Fanuc; post with X and Y',
+        'only polar coordinates of Fanuc are supported; post with X and Y',
         code,
     )
     at.mover.polar = True

@@ -38,7 +38,7 @@ def choose_offset(at: Execution, code: str) -> None:
     frames = at.mover.frames
     known = code in at.mover.setup.work_offsets
     if not known and frames.named not in ('', code):
-        how = f'set where {code} lies in a setup file (--setup)'
+        how = f'set the position of {code} in a setup file (--setup)'
         raise at.fault(f'the program began with {frames.named}; {how}', code)
     if not known:
         at.notice(code, 'taken as the workpiece zero')

@@ -47,7 +47,7 @@ FAULTS = {
     6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
     8: f'{_OFF}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute',
-    9: f'{_OFF}; they fit as the way from the centre to the start: --arc-centres reversed',
+    9: f'{_OFF}; they fit as the vector from the centre to the start: --arc-centres reversed',
 }
 #: Faults that may be caused by a wrong start point alone.
 OF_PLACE = (3, 4, 5, 6, 8, 9)

@@ -24,7 +24,7 @@ FLANK = 1e-3  #: The flank of the tool touches if the cosine of normal and tool 
 SHORTEST = 1e-9  #: A shorter way between two contact points has no direction [m].
 #: Words of the normal; a shorter normal has no direction [-].
 NORMAL_WORDS, SMALLEST = ('A5', 'B5', 'C5'), 1e-6
-_NO_FIT = 'the cutter does not fit in here; take a smaller tool'
+_NO_FIT = 'the cutter does not fit here; use a smaller tool'
 Fault = Callable[[str], ProgramError]
 
 

@@ -36,7 +36,7 @@ LEADS, CLOSED, SHORTEST_LOOP = 4, 0.01 * MM, 0.1 * MM
 NEARLY_SMOOTH = 0.05
 #: Shares of an element at which its distance from others is compared.
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-_NO_FIT = 'the cutter does not fit in here; take a smaller radius, or round the contour'
+_NO_FIT = 'the cutter does not fit here; use a smaller radius, or round the contour'
 
 
 Told = Callable[[ProgramError], None]  #: Receives faults that give a notice instead of a refusal.

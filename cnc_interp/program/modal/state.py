@@ -261,8 +261,8 @@ class ModalState(ModalValues):
             self.told_feed_of_turns = True
             self.notice(
                 'F in lines with rotary motion',
-                'the speed of X Y Z, as on LinuxCNC; on Fanuc degrees count as millimetres of the '
-                'way, so --dialect fanuc takes longer',
+                'the speed of X Y Z, as on LinuxCNC; on Fanuc degrees count as millimetres of '
+                'travel, so --dialect fanuc takes longer',
             )
 
     @property
@@ -402,9 +402,7 @@ class ModalState(ModalValues):
         words = self.geometry.machine.signals.words
         told = 'feed in, feed out; the spindle is not synchronised'
         if self.follows:
-            told = (
-                'in step with the spindle; R must leave the way that the axes need to get in step'
-            )
+            told = 'in step with the spindle; R must leave the axes room to get in step'
         elif {'M3', 'M4'} <= words.keys():
             told = 'for a floating holder: feed in, the spindle is reversed, feed out'
         self.notice(code, told)

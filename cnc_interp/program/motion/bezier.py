@@ -24,9 +24,11 @@ def go_along(mover: Mover, code: str, words: BlockWords) -> None:
     mover.demand(not mover.targets.empty, 'begins where the tool is; move there first', code)
     first, last = (_way(mover, pair, values) for pair in ('IJ', 'PQ'))
     if code == 'G5.1' and first is None:
-        raise mover.fault('needs I and J, the way to the control point', code)
+        raise mover.fault('needs I and J, the vector to the control point', code)
     if code == 'G5' and last is None:
-        raise mover.fault('needs P and Q, the way from the end to the second control point', code)
+        raise mover.fault(
+            'needs P and Q, the vector from the end to the second control point', code
+        )
     if code == 'G5' and first is None:
         first, ended = mover.spline_goes_on
         mover.demand(

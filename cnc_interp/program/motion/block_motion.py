@@ -25,7 +25,7 @@ SAME_PLACE = 1e-12  #: Points that differ by less are the same [m].
 SAME_AXIS = 1e-9  #: Two directions agree if their cosine is 1 within this [-].
 _TWO_MEANINGS = (
     'machine coordinates with tool-tip programming on: axis positions on Fanuc, tip positions on '
-    'LinuxCNC; switch it off before (TRAFOOF, G49)'
+    'LinuxCNC; switch it off first (TRAFOOF, G49)'
 )
 _SHORT = 1e-6  #: Distance from the end of travel at which a retract ends [m].
 MOST_TURN = 1e3 * 360.0 * DEG
@@ -149,7 +149,7 @@ class Mover(ArcTargets):
         self.feedrate = kept
 
     def begin_radius(self, code: str, distance: float) -> None:
-        self.demand(not self.targets.empty, 'move to a place beside the contour first', code)
+        self.demand(not self.targets.empty, 'move to a position beside the contour first', code)
         frame = self.frames.plane(*PLANES[self.plane][:2])
         self.refuse_if(
             (self.vector is not None or (self.rotary_letters and self.tcp))
@@ -169,7 +169,7 @@ class Mover(ArcTargets):
 
     def begin_contact(self, code: str, cutter: ToolShape) -> None:
         """Treat the following points as cutter contact points (G41.2, G42.2)."""
-        self.demand(not self.targets.empty, 'move to a place beside the part first', code)
+        self.demand(not self.targets.empty, 'move to a position beside the part first', code)
         self.demand(
             not self.by_axes, f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code
         )

@@ -77,7 +77,7 @@ def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> F
         code,
     )
     mover.demand(CODES[code].word in signals.words, NO_PROBE, code)
-    mover.demand(not mover.targets.empty, 'move to a place before the part first', code)
+    mover.demand(not mover.targets.empty, 'move to a position before the part first', code)
     here, target = mover.here(), mover.target(words)
     mover.refuse_if(
         np.abs(target[3:] - here[3:]).max(initial=0.0) > 1e-9 * DEG,

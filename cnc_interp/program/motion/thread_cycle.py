@@ -23,7 +23,7 @@ def cut_thread(mover: Mover, words: BlockWords) -> None:
     values.pop('E', None)
     mover.demand(
         values.pop('L', 0.0) == 0.0,
-        'has no tapers here; write L0, and let it run out into a groove',
+        'tapers are not supported; write L0, and let the thread end in a groove',
         CODE,
     )
     end = mover.target(

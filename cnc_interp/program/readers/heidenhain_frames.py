@@ -162,7 +162,7 @@ class HeidenhainFrames:
         if kind == 'AXIAL':
             return self._turn_of_axes(values)
         raise self._fault(
-            'of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported',
+            'only SPATIAL, VECTOR, EULER, AXIAL and RESET of PLANE are supported',
             f'PLANE {kind}',
             DependsOn.LINE,
         )

@@ -67,7 +67,7 @@ HARMLESS_G: dict[str, str] = {
 _AXES = 'XYZABCUVW'
 OTHER_MEANING: dict[str, tuple[str, str]] = {
     'G15': ('H', 'with H it is the work offset of Okuma; write G54 to G59'),
-    'G255': ('H', 'with H it is not known; write G255 alone'),
+    'G255': ('H', 'is not supported with H; write G255 alone'),
     'G40.1': (_AXES, 'write G40.1 in a block of its own'),
 }
 #: Work offsets with H: a tool length on Okuma, two words without relation elsewhere.
@@ -102,7 +102,7 @@ DWELL = 'exact stop; the dwell time is not kept'
 ANY_DWELL = 'P may be s or ms, so its time is not kept; choose --dialect or write X'
 #: Notices of arcs that fit in one interpretation only, by keys of ``arcs.FAULTS``.
 CENTRES_TOLD = {
-    8: 'taken as the place of the centre: no other reading fits the arcs (--arc-centres absolute)',
+    8: 'taken as position of the centre: no other reading fits the arcs (--arc-centres absolute)',
     9: 'taken from centre to start: no other reading fits the arcs (--arc-centres reversed)',
 }
 _WAITS = 'waits for cycle start; a plan stops there and continues'
@@ -130,12 +130,12 @@ _SIEMENS_CYCLE = 'cycles are not supported in this form; post the cycle as G0 an
 # Reasons by the beginning of the word; the first match counts.
 REFUSED_KEYS: dict[str, str] = {
     'CUT2': 'write CUT2D; the compensation turns with the frame',
-    'CUT3': 'of compensation in space only CUT3DF with normals A5= B5= C5= is supported',
+    'CUT3': 'the only supported compensation in space is CUT3DF with normals A5= B5= C5=',
     **dict.fromkeys(('POCKET', 'SLOT', 'LONGHOLE', 'CYCLE'), _SIEMENS_CYCLE),
     **dict.fromkeys(('ROTS', 'AROTS'), f'space angles are not supported; {_FRAME}'),
     **dict.fromkeys(
         ('ASPLINE', 'CSPLINE'),
-        'of the native splines only BSPLINE is supported; post with linear moves',
+        'BSPLINE is the only supported native spline; post with linear moves',
     ),
     'POLY': 'native polynomials are not supported; post with linear moves',
     'CIP': 'arcs by three points are not supported; give I, J, K',

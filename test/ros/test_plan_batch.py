@@ -88,7 +88,7 @@ def test_a_batch_over_ros_makes_the_same_table(client, tmp_path):
     (programs / 'wrong.ngc').write_text('G1 X\n')
     handle = client.send(programs=[str(programs)], machines=['xyzac', 'xyzbc'], name='monday')
     busy = client.result_of(client.send(programs=[str(programs)], name='tuesday'))
-    assert not busy.success and 'a batch is under way' in busy.message
+    assert not busy.success and 'a batch is running' in busy.message
     result = client.result_of(handle)
     assert result.success, result.message
     # xyzbc has no axis A
@@ -123,7 +123,7 @@ def test_what_a_goal_may_not_have_is_refused(client, tmp_path):
     inside, outside = str(tmp_path / 'programs'), str(tmp_path / 'other')
     for goal, text in (
         ({'programs': [outside], 'name': 'a'}, 'no file of a folder'),
-        ({'programs': [inside], 'name': '../a'}, 'name: letters'),
+        ({'programs': [inside], 'name': '../a'}, 'name: may have at most 100 letters'),
         ({'programs': [inside], 'name': 'a', 'machines': ['no']}, "no machine 'no'"),
         ({'programs': [], 'name': 'a'}, 'no programs here'),
     ):

@@ -81,7 +81,7 @@ def test_a_plan_counts_the_end_of_the_line():
 @pytest.mark.parametrize(
     ('text', 'told'),
     [
-        ('G38.2 Z-5 F100', 'move to a place before the part first'),
+        ('G38.2 Z-5 F100', 'move to a position before the part first'),
         ('G0 X0 Y0 Z0\nG38.2 F100', 'has no motion'),
         ('G0 X0 Y0 Z0\nG38.2 Z-5', 'feedrate'),
         ('G0 X0 Y0 Z0\nG1 X5 F100\nG41.1 D1\nG38.2 X9', 'G41.1 is on'),

@@ -347,7 +347,7 @@ def test_words_of_a_plain_program():
     ('text', 'options', 'wanted'),
     [
         ('G0 X10 Y0\nG3 X0 Y10 I10 J0', ['--arc-centres', 'reversed'], 'arc_centres reversed'),
-        ('G0 X40 Y0\nG3 X30 Y10 I30 J0\nX20 Y0 I30 J0\nX30 Y-10 I30 J0', [], 'not the way'),
+        ('G0 X40 Y0\nG3 X30 Y10 I30 J0\nX20 Y0 I30 J0\nX30 Y-10 I30 J0', [], 'not the vector'),
         ('G0 X1 Y0\nG1 X2', ['--units', 'inch'], 'units inch'),
         ('G0 X10 Y0\nG3 X0 Y10 I-10 J0\nX-20 Y10', [], 'an arc without I J K and R'),
         ('G0 X0 Y0 Z9\nG84 X1 Z-2 R3', [], 'the holes of G74, G84 and G89'),

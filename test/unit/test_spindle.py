@@ -142,7 +142,7 @@ def test_the_passes_of_a_threading_cycle_meet():
         ('P1.5', 'P0', 'P above 0'),
         ('K1 ', '', 'needs K'),
         ('J0.4', 'J1.4', 'below K'),
-        ('H1', 'H1 L2 E1', 'no tapers'),
+        ('H1', 'H1 L2 E1', 'tapers are not supported'),
         ('H1', 'H1.5', 'whole'),
         ('J0.4', 'J0.000001', 'passes'),
         ('H1', 'X4', 'axis words'),

@@ -41,7 +41,8 @@ def axis_path_from(
 ) -> AxisPath:
     """Return the smooth path from rest to rest through axis positions, by quintic splines.
 
-    Its error is of sixth order in the distance of the points. At corners it overshoots.
+    The error of the path is of sixth order in the distance of the points. At corners it
+    overshoots.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 [TL2008, 3.1] in one unknown. At the angle phi of the corner circle the profile of the corner torus
 is a circle about Q = C_L + R e. The envelope touches it where the tool normal m is perpendicular
 to V_Q and to the circle of centres: m = unit(V_Q x e'). P = Q + r_c m then satisfies Eq. 3.2 and
-3.3. Eq. 3.1 is ``height(P) = S_h``. It is solved from phi = 0, the contact point.
+3.3. Eq. 3.1 is ``height(P) = S_h``. This equation is solved from phi = 0, the contact point.
 
 Stage 2: the posture of the next pass that leaves a given scallop point [TL2008, 3.2]. The unknowns
 are the place s on the next guiding curve and one angle, the tilt or the yaw. Let v = P - C_L and
@@ -165,7 +165,7 @@ def resting(cutter: Cutter, frames: CurveFrames, tilt: Angle, yaw: Angle) -> Pos
 
 
 def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the residuals of Eq. 3.13 and, times 1 mm, 3.14, and which roots would be valid."""
+    """Return the residuals of Eq. 3.13 and 3.14 (times 1 mm), and which roots would be valid."""
     cutter, u = postures.cutter, postures.axis
     v = scallops.position - postures.centre
     along = dot(v, u)

@@ -123,7 +123,7 @@ def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray
 def chord_error(
     tip: FloatArray, top: FloatArray, middle_tip: FloatArray, middle_top: FloatArray
 ) -> FloatArray:
-    """Return the distance of poses from linear blocks; tip and top are at the same share."""
+    """Return the distance of poses from linear blocks, both at the same share of the block."""
     chord, chord_top = tip[:, 1] - tip[:, 0], top[:, 1] - top[:, 0]
     away = middle_tip - tip[:, 0]
     share = dot(away, chord) / np.maximum(dot(chord, chord), 1e-24)

@@ -1,8 +1,8 @@
 """Requests that are resent until they are answered: calls of services, and programs.
 
 An answer is lost if a node received the request before it had discovered the reader of answers,
-and a killed node never answers. A goal keeps its id, so it cannot run twice. Its result is
-requested repeatedly too, because a restarted node may not know the goal and then says so.
+and a killed node never answers. A goal keeps its id, so it cannot run twice. The result of a goal
+is requested repeatedly too, because a restarted node may not know the goal and then says so.
 """
 
 import math

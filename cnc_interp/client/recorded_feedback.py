@@ -28,7 +28,7 @@ class RecordedFeedback:
 
 
 def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine]:
-    """Read the last run in which the machine moved, its approach included.
+    """Read the last run in which the machine moved, including its approach.
 
     Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
     """

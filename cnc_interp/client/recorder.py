@@ -2,8 +2,8 @@
 
 Recording begins and ends with a handshake with every node. Parameters are requested after
 subscribing to the topics, so a node that answers knows the subscriptions. At the end every node
-publishes its collected messages (``~/flush``). The recorder then awaits a later state of the
-machine, and every executed setpoint that the machine has counted by then.
+publishes its collected messages (``~/flush``). The recorder then waits for a later machine state,
+and for every executed setpoint that it counts.
 """
 
 import sys
@@ -69,7 +69,7 @@ LAST_WAIT = 10.0
 
 
 class StreamRecord:
-    """The numbers of a stream that a record holds; resent items count once."""
+    """The numbers of the stream items in a record; resent items count once."""
 
     def __init__(self, topic: str):
         self.name, self._numbers = NUMBERED[topic]

@@ -36,7 +36,7 @@ def rows_of(message: SetpointChunk, prefix: str = '') -> FloatArray:
 class SentSetpoints:
     """Setpoints of a run as sent, by plan and number; each is read when needed.
 
-    They never change, so copies of a run share them.
+    Sent setpoints never change, so copies of a run share them.
     """
 
     def __init__(self, bag: Bag, program_id: str):

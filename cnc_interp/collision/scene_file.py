@@ -106,7 +106,7 @@ class _Reading:
         self._meshes: list[Path] = []
 
     def _included(self, value: Any) -> Scene:
-        """Return the included scene. Its bodies come first, and it may not include another."""
+        """Return the included scene, which comes first and may not include another."""
         if not isinstance(value, str):
             raise self.fault('include', 'must be a scene file, or the name of a bundled one')
         beside = self._path.parent / value
@@ -153,7 +153,7 @@ class _Reading:
                 raise self.fault('bodies', f'the name {name!r} is used twice; rename one body')
         if not isinstance(tools, dict):
             raise self.fault(
-                'tools', 'must hold tools by their numbers, such as {3: {diameter_mm: 6}}'
+                'tools', 'must map tool numbers to tools, such as {3: {diameter_mm: 6}}'
             )
         for number, tool in tools.items():
             if isinstance(number, bool) or not isinstance(number, int) or number < 1:
@@ -220,7 +220,7 @@ class _Reading:
     def _mapping_of_any(self, whole: dict[str, Any], key: str) -> dict[str, Any]:
         found = whole.get(key) or {}
         if not isinstance(found, dict):
-            raise self.fault(key, 'must hold rows [height, radius] by the names of the holders')
+            raise self.fault(key, 'must map names of holders to rows [height, radius]')
         return found
 
     def _grid(self, size: Any, body: Body) -> float:

@@ -286,7 +286,7 @@ def _score(options: Namespace) -> int:
 
     files = sorted([*options.score.glob('*.npz'), *options.score.glob('*.csv')])
     if not files:
-        raise InterpError(f'{options.score}: has no NAME.npz or NAME.csv, NAME of a problem')
+        raise InterpError(f'{options.score}: has no NAME.npz or NAME.csv named after a problem')
     kept = True
     print(f'{"path":<28}{"time s":>11}{"/ optimum":>11}{"use":>9}{"beside um":>11}')
     for file in files:

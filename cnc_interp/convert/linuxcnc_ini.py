@@ -163,7 +163,7 @@ class _Axis:
         return number(source[key], self.letter, key) if key in source else usual
 
     def limits(self) -> dict[str, Any]:
-        """Return its limits, the narrowest of its sections; note a jerk that is assumed."""
+        """Return the limits of the axis, the narrowest of its sections; note an assumed jerk."""
         unit, straight, found = self.unit, self.straight, self.found
         speed, turn = (M_PER_MIN, 1.0) if straight else (REV_PER_MIN, REV)
         largest = [min(self.values('MAX_VELOCITY')) * unit]
@@ -193,7 +193,7 @@ class _Axis:
 
     @property
     def travel(self) -> tuple[float, float]:
-        """Its travel [mm or deg], infinite where it has no limit."""
+        """The travel of the axis [mm or deg], infinite where it has no limit."""
         low, high = self.values('MIN_LIMIT', False), self.values('MAX_LIMIT', False)
         ends = max(low, default=-inf), min(high, default=inf)
         return _rounded(ends[0] * self.size), _rounded(ends[1] * self.size)
@@ -206,7 +206,7 @@ class _Axis:
         return _rounded(error) if error > 0.0 else None
 
     def errors(self) -> dict[str, list[float]] | None:
-        """Return the errors of its screw, from its COMP_FILE; None without a valid one."""
+        """Return the errors of the screw from the COMP_FILE; None if it is missing or invalid."""
         motor, key = self.motors[0], f'COMP_FILE of {self.letter}'
         name = motor.get('COMP_FILE', '').partition('#')[0].strip()
         if not name:
@@ -230,7 +230,7 @@ class _Axis:
         return table
 
     def switch(self) -> float | None:
-        """Return the position of its reference switch [mm or deg]; None without one."""
+        """Return the position of the reference switch [mm or deg]; None if there is none."""
         search, at = self.of_motor('HOME_SEARCH_VEL'), self.of_motor('HOME_OFFSET') * self.size
         low, high = self.travel
         if not search:

@@ -348,7 +348,7 @@ ROOM = 0.4  #: Largest share of the travel to one side.
 
 
 def excitation(machine: Machine) -> str:
-    """Write the program for all axes, which ends where it begins; MachineError without room."""
+    """Write a program for all axes that ends where it begins; MachineError if it lacks room."""
     lines = [f'(EXCITATION OF THE AXES OF {machine.name.upper()}: for cnc-interp identify)']
     moving = [axis for axis in machine.axes if not axis.locked]
     lines += ['G21 G94 G91', 'TRAFOOF', 'G0 ' + ' '.join(f'{axis.name}0' for axis in moving)]

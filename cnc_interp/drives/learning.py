@@ -159,7 +159,7 @@ class LearntMotion:
 
 
 def hash_of(name: str) -> str:
-    """Return the hash of a machine file, given by path or name; MachineError without one."""
+    """Return the hash of a machine file, given by path or name; MachineError if there is none."""
     return hashlib.sha256(find_machine_file(name).read_bytes()).hexdigest()
 
 

@@ -54,7 +54,7 @@ class KeptCells:
 
 
 def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
-    """Return the limit on the error at the tool that the settings ask for, None for none.
+    """Return the limit on the error at the tool that the settings request, or None.
 
     Raises MachineError if the model does not fit the machine.
     """

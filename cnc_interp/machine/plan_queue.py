@@ -1,7 +1,8 @@
 """Plans received by the machine: the current chunk, waiting chunks, and rules for joining.
 
 A plan may replace the setpoints of another plan from a given number on, as long as none of them
-has been played. Its first chunk is linked to the chunk before them, which is cut if necessary.
+has been played. The first chunk of the new plan is linked to the chunk before them, which is cut
+if necessary.
 """
 
 from dataclasses import replace

@@ -453,7 +453,7 @@ class Playback:
         self._work(count * self.axes.period)
 
     def _take_over(self, records: Records) -> None:
-        """Process some periods of one source; only the first of them may have an event."""
+        """Process some periods of one source of setpoints; only the first may have an event."""
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
             source = kernel.REST  # delayed drives have failed in the meantime

@@ -154,7 +154,7 @@ class Macro:
 
     @property
     def moves(self) -> bool:
-        """Whether any line may move an axis; spindle, outputs and dwells do not."""
+        """Whether any line of the macro may move an axis; spindle, outputs and dwells do not."""
         return not all(_STILL.fullmatch(line.upper()) for line in self.lines)
 
 

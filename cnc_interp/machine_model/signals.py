@@ -376,7 +376,7 @@ def _refuse_old_answers(
         )
         if 0 < step.wait <= len(inputs) and ends and not begins:
             name, answer = outputs[step.output].name, inputs[step.wait - 1].name
-            text = f'would take an old answer of {answer}; begin with'
+            text = f'would accept an old answer of {answer}; begin with'
             raise MachineError(f'{text} {{{name}: 0, wait_for: not {answer}}}', where)
 
 
@@ -625,7 +625,7 @@ def _wait(
     if wanted is None:
         demand('limit_s' not in values, 'belongs to wait_for', f'{where}.limit_s')
         return NO_WAIT, limit, delay
-    demand(word not in STOPS, 'a stop waits for nothing; write delay_s', f'{where}.wait_for')
+    demand(word not in STOPS, 'a stop cannot wait; write delay_s', f'{where}.wait_for')
     if wanted == OPERATOR:
         return ASK, limit, delay
     names = [signal.name for signal in inputs]

@@ -41,7 +41,8 @@ class Transform(Protocol):
         """Return the rates of the axes by path length where a path goes through poses, (n, m).
 
         Rows of tool tip [m], tool axis, unit step of the tip, and turn of the tool axis [rad/m].
-        The m axes are the first of the machine; NaN where the pose is singular or out of reach.
+        The rates are those of the first m axes, and NaN where the pose is singular or out of
+        reach.
         """
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ PATIENCE = 10.0  #: Longest wait for the nodes to report their machine [s].
 
 
 def run_agent(options: Namespace) -> None:
-    """Serve until Ctrl-C; InterpError without nodes, or if the port is taken."""
+    """Serve until Ctrl-C; InterpError if no node answers, or if the port is taken."""
     domain = session.domain_of_nodes(options.domain)
     session.check_place(options.namespace, domain)
     with MachineWatch(options.namespace, domain) as watch:

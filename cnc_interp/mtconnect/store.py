@@ -76,7 +76,7 @@ class Store:
             self._news.notify_all()
 
     def condition(self, item: str, level: str, code: str = '', text: str = '') -> None:
-        """Store the report of one reporter of a condition, which its code identifies."""
+        """Store the report of a condition by one reporter, which its code identifies."""
         with self._news:
             counts = self._counts[item]
             active = {one.code: one for one in counts if one.value in (WARNING, FAULT)}

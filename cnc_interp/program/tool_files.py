@@ -111,7 +111,7 @@ def _csv_rows(lines: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
 
 
 def tbl_text(tools: Mapping[int, Tool], unit: float) -> str:
-    """Return a tool.tbl. It has one length and one diameter, with the wear in both."""
+    """Return a tool.tbl. The file has one length and one diameter, with the wear in both."""
     lines = [
         f'T{number} P{tool.pocket or number} Z{tool.worn.length / unit:+.6f} '
         f'D{2.0 * tool.worn.radius / unit:+.6f} ;{tool.remark}\n'

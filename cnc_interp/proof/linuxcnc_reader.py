@@ -1,7 +1,7 @@
 """LinuxCNC's interpreter (``rs274``) as the second reader of G-code, where it is installed.
 
-It prints the calls to the machine with four decimals, and runs in a process with limits. Comments
-are removed first, because rs274 executes some of them as Python code.
+rs274 prints the calls to the machine with four decimals, and runs in a process with limits.
+Comments are removed first, because rs274 executes some of them as Python code.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A second reader of part programs, for plain words only; it shares no code with the first one.
 
-It rejects programs with words that it does not know, because these cannot be compared.
+This reader rejects programs with words that it does not know, because these cannot be compared.
 """
 
 import re

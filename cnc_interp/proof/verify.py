@@ -1,8 +1,8 @@
 """The proof: every emitted setpoint is checked against limits, tolerances, feed and program.
 
-The proof reads only the plan files. It shares code with the planner in three places: reading the
-machine file, forward kinematics, and simulating the drives if the error at the tool is limited.
-At a corner the smaller tolerance of both blocks applies.
+The proof reads only the plan files. The proof shares code with the planner in three places:
+reading the machine file, forward kinematics, and simulating the drives if the error at the tool is
+limited. At a corner the smaller tolerance of both blocks applies.
 """
 
 from collections.abc import Sequence

@@ -29,7 +29,7 @@ def removal_rates(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
 
 
 def stock_section(plan: PlanFiles) -> str:
-    """Return the section of a plan whose scene has a stock; '' of others."""
+    """Return the section of a plan whose scene has a stock; '' for other plans."""
     found: Any = plan.summary.get('collision')
     told = found.get('stock') if isinstance(found, dict) else None
     if not plan.removal or not isinstance(told, dict):

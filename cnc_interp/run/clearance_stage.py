@@ -31,7 +31,7 @@ PLACES = 20_000  #: Most places of the part whose excess is kept for the report.
 def clearance_of(
     machine: Machine, settings: Settings, most_hits: int = 0, setup: str | None = None
 ) -> PathClearance | None:
-    """Return the check of a machine with the scene of the settings; None without one.
+    """Return the check of a machine with the scene of the settings; None without a scene.
 
     ``setup``: text of the setup with the tool table; by default, the file named by the settings.
     """

@@ -24,9 +24,9 @@ def pace_limits(
     A control changes the velocity at a vertex between two blocks by at most ``jump``, so the speed
     there is v = jump / (2 sin(turn / 2)). On the block between two vertices the speed rises and
     falls again with the jerk J. With x the square root of the rise over J, a block of length L
-    takes 4 x: ``2 J x^3 + 4 v x = L``. Its feed is at most its mean speed L / (4 x), and at most
-    L over the time that the control needs for a block. Sharper turns are corners, which the
-    planner slows down for itself.
+    takes 4 x: ``2 J x^3 + 4 v x = L``. The feed of a block is at most its mean speed L / (4 x),
+    and at most L over the time that the control needs for a block. Sharper turns are corners,
+    which the planner slows down for itself.
     """
     with np.errstate(divide='ignore'):
         v = np.minimum(pace.jump / (2.0 * np.sin(0.5 * turn)), feed)

@@ -189,7 +189,7 @@ def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
 def goal_of(
     program: Path, settings: Settings, names: Collection[str] | None = None, text: str = ''
 ) -> RunProgram.Goal:
-    """Return the goal for a program. It carries all settings, or only those in ``names``."""
+    """Return the goal for a program. The goal carries all settings, or only those in ``names``."""
     wanted = [c for c in choices(settings) if names is None or c.name in names]
     texts = {c.name: c.text_with_unit(getattr(settings, c.name)) for c in wanted}
     pairs = [KeyValue(key=name, value=value) for name, value in texts.items()]

@@ -94,8 +94,8 @@ class KnownSender:
     """The one accepted sender of a stream: the first one heard, until it falls silent.
 
     ``numbered``: whether messages carry their own numbers, so that late or repeated ones are
-    accepted here. A second sender may be the restarted process of a lost node. Its messages are
-    therefore counted, and reported only if the first sender is heard again.
+    accepted here. A second sender may be the restarted process of a lost node. The messages of
+    such a sender are therefore counted, and reported only if the first sender is heard again.
     """
 
     def __init__(self, numbered: bool = False):

@@ -1,8 +1,9 @@
 """Both ends of a stream with a sliding window, as in TCP; without a clock or ROS.
 
 Items are numbered without gaps within a program; an item with several elements (a chunk of
-setpoints) takes several numbers. The sender keeps every item until it is acknowledged. It resends
-the first missing item, and later ones only once the receiver reports that they are missing too.
+setpoints) takes several numbers. The sender keeps every item until it is acknowledged. The sender
+resends the first missing item, and later ones only once the receiver reports that they are missing
+too.
 """
 
 import math

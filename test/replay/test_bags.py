@@ -313,7 +313,12 @@ def faults(messages, node):
         for status in array.status
         if status.name == f'{node}: blocks' and any(p.key == 'refused' for p in status.values)
     ]
-    kinds = dict.fromkeys(re.sub(r'\d+', '#', status.message) for status in statuses)
+    texts = (re.sub(r'\d+', '#', status.message) for status in statuses)
+    # The version that recorded the bag used other words for a damaged message.
+    older = 'spoilt on its way (checksum); it is sent again'
+    kinds = dict.fromkeys(
+        s.replace(older, 'damaged in transit (checksum); it is resent') for s in texts
+    )
     counts = [int(pair.value) for s in statuses for pair in s.values if pair.key == 'refused']
     return list(kinds), max(counts, default=0)
 

@@ -326,7 +326,7 @@ def test_a_mesh_of_a_file_is_hit_where_the_box_is(folder, capsys):
         ('bodies:\n  - {name: w, link: workpiece, mesh: far.stl, unit: m}', 'is the unit right'),
         ('bodies:\n  - {name: w, link: workpiece, mesh: far.stl, unit: feet}', "unit 'feet'"),
         ('bodies:\n  - {name: w, link: workpiece, mesh: 3}', 'must name an STL or STEP file'),
-        ('holders: 3', 'by the names of the holders'),
+        ('holders: 3', 'map names of holders to rows'),
         ('bodies: []', 'the scene has no body'),
         ('bodys: []', "unknown key 'bodys'"),
         ('clearance_mm: {default: -1}', 'is not between'),

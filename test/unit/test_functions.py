@@ -353,11 +353,11 @@ def test_an_own_word_takes_values_of_its_block() -> None:
         ({'functions': {'M8': {'a': 1, 'limit_s': 3}}}, 'belongs to wait_for'),
         ({'functions': {'M8': {'a': 1, 'wait_for': 'i', 'limit_s': -1}}}, 'must be a time in s'),
         ({'functions': {'fault': {'a': 'S'}}}, 'write a number'),
-        ({'functions': {'fault': {'a': 0, 'wait_for': 'i'}}}, 'a stop waits for nothing'),
+        ({'functions': {'fault': {'a': 0, 'wait_for': 'i'}}}, 'a stop cannot wait'),
         ({'functions': {'lost_machine': {'a': 0}}}, 'write an M code'),
         (
             {'functions': {'M6': [{'a': 1, 'wait_for': 'i'}, {'a': 0, 'wait_for': 'not i'}]}},
-            'would take an old answer of i; begin with {a: 0, wait_for: not i}',
+            'would accept an old answer of i; begin with {a: 0, wait_for: not i}',
         ),
         ({'switched_off': {'b': 'always'}}, 'switched_off.b: must name outputs'),
         ({'switched_off': {}}, 'switched_off.a: is missing: write always, never .as for a clamp'),

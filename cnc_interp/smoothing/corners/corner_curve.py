@@ -20,8 +20,8 @@ the corner is the same B-spline, with legs along the slopes q_s of both lines. E
 by its jerk limit. Three sizes describe the shape: max_i |q_s,i| / J_i before the corner, after the
 corner, and of the difference.
 
-If the slopes differ little, the speed hardly changes and the best ratio has the least q_sss.
-This is about 1.5, where the curvature is a triangle. If they differ much, the tool brakes for the
+If the slopes differ little, the speed hardly changes and the best ratio has the least q_sss. This
+ratio is about 1.5, where the curvature is a triangle. If they differ much, the tool brakes for the
 corner anyway, and an early turn is better: about 2. On the side where the axes move less per
 metre, the tip is faster and needs a longer leg. The constants are fitted to planned machining
 times of random corners; see ``docs/how_it_works/corner_rounding.md``.
@@ -192,9 +192,9 @@ def _deviations(corners: Corners, outer: FloatArray, curves: Curves, style: Styl
 
     The contour deviation is the distance of the middle from the programmed corner (Eq. 3). It is
     the largest deviation in both directions. The orientation deviation is measured at flank
-    height. It is the largest of three values: the distance of the middle on top, the distance of
-    any top point from the programmed top curve, and the turn of the axis from the programmed one.
-    The last one does not count on literal corners, unless they are near the pole.
+    height. This deviation is the largest of three values: the distance of the middle on top, the
+    distance of any top point from the programmed top curve, and the turn of the axis from the
+    programmed one. The last one does not count on literal corners, unless they are near the pole.
     """
     point, tool = poses(curves, 0.5)
     contour = norm(point - corners.tip)

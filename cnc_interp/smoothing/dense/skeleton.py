@@ -260,7 +260,7 @@ class SkeletonBuilder:
     def _feeds(self, raw: Blocks, before: IntArray, kept: IntArray) -> FloatArray:
         """Return distance / time of the rows between vertices, shape (m,) [m/s].
 
-        If all feeds are equal, the result is exactly F. It is never above F of the last row,
+        If all feeds are equal, the result is exactly F. The feed is never above F of the last row,
         because only that row may be longer than the tolerance.
         """
         length = np.concatenate([[0.0], norm(np.diff(raw.tip, axis=0))])

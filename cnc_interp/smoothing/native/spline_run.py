@@ -3,8 +3,8 @@
 Each span of the pair of cubic B-splines becomes exactly one SPLINE segment. The curve may meet a
 line, or its own next span at a repeated knot. There the jets of both sides are compared. If they
 differ, the span takes the derivatives of the other side by the general connection of
-``joining.py``. It may use a share of the tolerances. If the deviation is too large, the span is
-halved, so that only its end changes. If the path turns too sharply, the tool rests. With
+``joining.py``. The span may use a share of the tolerances. If the deviation is too large, the span
+is halved, so that only its end changes. If the path turns too sharply, the tool rests. With
 ``--parametrization linear`` nothing is connected, as on a control with u_top = u_bottom.
 """
 
@@ -149,7 +149,7 @@ class SplineRun:
         bad = np.flatnonzero(slowest <= STANDSTILL_SHARE * size)
         if len(bad):
             raise BlockError(
-                'the tool tip stands still within this spline; end the spline there and turn the '
+                'the tool tip rests in a part of this spline; end the spline there and turn the '
                 'tool in a G1 block',
                 int(rows.line_number[own[bad[0]]]),
             )

@@ -1,4 +1,4 @@
-"""What the INI file of a LinuxCNC machine says about its joints."""
+"""The joints of a LinuxCNC machine, as its INI file describes them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

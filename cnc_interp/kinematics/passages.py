@@ -38,7 +38,7 @@ class Passages(ABC, Generic[Ahead]):
         """Skip a segment whose axes are coordinates of the path."""
 
     def _released(self) -> None:
-        """Note that the first segments have been released."""
+        """Record that the first segments have been released."""
 
     def take(self, segments: PathSegments, motion: IntArray) -> Ahead:
         """Accept segments with the motion of their axes; return the segments that are final.

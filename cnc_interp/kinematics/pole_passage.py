@@ -2,7 +2,7 @@
 
 On a stretch around the pole, C is the septic in path length that matches C and three derivatives
 at both ends. The tilt may change its sign, so C turns by a quarter turn at most. A stretch is
-chosen once no later segment can change it, so the result does not depend on how the segments
+chosen as soon as no later segment can change it, so the result does not depend on how the segments
 arrive.
 """
 

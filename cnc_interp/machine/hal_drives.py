@@ -333,7 +333,7 @@ class HalDrives(HomedDrives):
         self._session.end()
 
     def fault(self, number: int) -> str:
-        """Return what the number of a fault or an alarm means, and what to do."""
+        """Return the meaning of a fault or alarm number, and what to do."""
         if number >= hal_step.AMPLIFIER:
             return f'{self._names[number - hal_step.AMPLIFIER]}: the amplifier reports a fault'
         if number >= hal_step.BEHIND:

@@ -218,7 +218,7 @@ class ProgramRun:
         return None
 
     def read_on(self, ready: Future[Prepared], state: MachineState, sent: int, now: float) -> None:
-        """Begin the part of the program after a probe; it is read and checked meanwhile."""
+        """Begin the part of the program after a probe, which is read and checked meanwhile."""
         assert self.probed is not None
         self.parts.append(state)
         self.sent_in_parts += max(self.sent_before, sent) - 1
@@ -258,7 +258,7 @@ class ProgramRun:
 
     @property
     def trouble(self) -> str:
-        """What prevents the run from continuing, and what to do; empty if nothing does."""
+        """The reason why the run cannot continue, and what to do; empty if it can."""
         if self.missing:
             return f'{self.missing} does not answer; start it again, then press cycle start'
         lost = self.recovery.node
@@ -270,7 +270,7 @@ class ProgramRun:
         )
 
     def waits_for(self, peers: Peers) -> tuple[str, float] | None:
-        """Return what the run waits for before it moves, and its progress [-]."""
+        """Return the event that the run waits for before it moves, and its progress [-]."""
         program, state = self.preparation.prepared, peers.state
         if self.phase is Phase.CHECKING:
             share = self.preparation.checked

@@ -433,7 +433,7 @@ class _Comparison:
                 self.fault(move, f'has F {found} {worst / MM_PER_MIN:.6g}')
 
     def unsure_time(self, move: ReadMove, wanted: float, rows: IntArray) -> float:
-        """Return the uncertainty of the time of a motion due to the reader's digits [s]."""
+        """Return the uncertainty of the time of a motion that the reader's digits cause [s]."""
         unsure = move.unsure * wanted
         if np.isnan(move.duration):
             unsure += 2.0 * SAME_PLACE / move.feed
@@ -508,7 +508,7 @@ class _FollowPlaces(_Comparison):
         return super().take(move)
 
     def rows_of(self, move: ReadMove) -> int:
-        """Return the row after those of a motion, which end at the first row at its end point."""
+        """Return the row after the rows of a motion, whose last row is the first at its end."""
         before = self.before
         if before is None:
             return 1

@@ -96,7 +96,7 @@ class Reason(IntEnum):
 
 
 class WaitsFor(IntEnum):
-    """What the machine at rest waits for, as in ``MachineState``."""
+    """The event that the machine at rest waits for, as in ``MachineState``."""
 
     NOTHING = 0
     SETPOINTS = 1

@@ -42,7 +42,7 @@ class StartPlace:
     sets: tuple[str, ...] = ()  #: Outputs that are set before the way there, as text.
 
     def after(self, functions: Functions, signals: Signals) -> StartPlace:
-        """Return the place, with the outputs that functions have set before it."""
+        """Return the start position, with the outputs that functions have set before it."""
         first = functions[: functions.until(0)]
         acts = zip(first.step.tolist(), first.value.tolist(), strict=True)
         outputs = [(signals.steps[step].output, value) for step, value in acts]

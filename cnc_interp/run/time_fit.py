@@ -255,7 +255,7 @@ class TracedRun:
         return np.diff(motion.until(self.trace.line[self.windows]), axis=1)[:, 0]
 
     def stretches(self) -> Iterator[tuple[int, int]]:
-        """Yield first and last window of the stretches in which nothing was switched."""
+        """Yield first and last window of each stretch in which no output was switched."""
         breaks = np.flatnonzero(self.windows[1:, 0] != self.windows[:-1, 1]) + 1
         edges = [0, *breaks.tolist(), len(self.windows)]
         yield from ((a, b - 1) for a, b in pairwise(edges))

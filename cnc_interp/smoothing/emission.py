@@ -217,7 +217,7 @@ class Emission:
         return np.asarray(np.minimum(column[rows], column[after]))
 
     def _least_tolerance(self, rows: IntArray) -> FloatArray:
-        """Return the smaller one at both ends of the blocks after these vertices [m]."""
+        """Return the smaller tolerance of both ends of the blocks after these vertices [m]."""
         ends = self._orientation_tolerance(rows), self._orientation_tolerance(rows + 1)
         return np.asarray(np.minimum(*ends))
 

@@ -262,7 +262,7 @@ class TiltedPlane:
         kind, axes = mode >> 6, [(mode >> shift & 3) - 1 for shift in (0, 2, 4)]
         self.demand(
             kind != DIRECT,
-            'positions of rotary axes give no plane here; turn the axes by G0, then write G68.3',
+            'rotary positions cannot define a plane; turn the axes by G0, then write G68.3',
             'CYCLE800',
         )
         if kind == SOLID:

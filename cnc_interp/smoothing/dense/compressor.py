@@ -125,7 +125,7 @@ class Compressor:
             self._at = last
 
     def _is_faster(self, start: int, last: int, ended: bool) -> bool | None:
-        """Return whether a run is to become a curve; None if more blocks are necessary."""
+        """Return whether a run becomes a curve; None if more blocks are needed to decide."""
         if self._choice is None or last - start > MOST_BLOCKS:
             return True
         skeleton = self._skeleton

@@ -74,7 +74,7 @@ class Skeleton:
 
     @cached_property
     def vertices(self) -> Vertices:
-        """Return what kernels read; marks that change later change there, too."""
+        """Return the arrays that kernels read; later changes of marks appear there, too."""
         pose = np.hstack([self.blocks.tip, self.blocks.axis])
         return Vertices(
             pose,

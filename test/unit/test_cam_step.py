@@ -548,7 +548,7 @@ def whole_cylinder(part):
         (whole_cylinder, 'is closed around its axis'),
         (
             lambda part: part.face(part.add(f"SPHERICAL_SURFACE('',{part.frame()},5.)")),
-            'way round',
+            'is closed around its axis',
         ),
     ],
 )

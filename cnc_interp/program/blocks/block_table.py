@@ -51,7 +51,8 @@ class Blocks(Table):
     knot_interval: FloatArray = column(default=nan)
     #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits at its exact stop; otherwise GO_ON.
     program_stop: IntArray = column(default=GO_ON)
-    #: Positions of the k extra axes (U V W) at the end of the block [m], linear with the tip.
+    #: Positions of the k extra axes (U V W) at the end of the block [m], linear with the tip. If
+    #: poses give the spin of an arm, it is the last column, times flank height.
     extra: FloatArray = column('k', default=0.0)
     interpolation: IntArray = column(default=POSES)  #: POSES, ROTARY_LINEAR or AXES_LINEAR.
     #: Rotary positions at the start of rows whose rotary axes run linearly [rad], else NaN.

@@ -354,7 +354,7 @@ def _tool_files(options: argparse.Namespace) -> int:
 
 
 def touch_off_command(options: argparse.Namespace) -> int:
-    """Set a work offset so that coordinates have given values at the present position."""
+    """Set a work offset so that coordinates have given values at the current position."""
     return _do(options, 'touch_off', {'offset': options.offset.upper()}, pairs(options.words))
 
 

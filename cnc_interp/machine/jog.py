@@ -102,7 +102,7 @@ class Jog:
         """Accept a move; return the nominal axes at its end, (n_axes,), or raise StreamError.
 
         ``values``: target position of each moving axis. If ``relative``, its distance from the
-        target of the current move, or from the present position. ``tool``: distance along the tool
+        target of the current move, or from the current position. ``tool``: distance along the tool
         [m]; ``speed``: share of the velocity limits; 0 means 1 [-].
         """
         wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)

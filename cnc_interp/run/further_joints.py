@@ -1,6 +1,6 @@
 """Choose positions of a rail or a positioner for a program that never moves them.
 
-These joints rest while the tool cuts. If the arm cannot follow a cut from their present position,
+These joints rest while the tool cuts. If the arm cannot follow a cut from their current position,
 they move during the rapid moves before it. Among the positions from which most spins of the tool
 can follow the cut, the nearest one is taken.
 """

@@ -46,7 +46,7 @@ class StartLine:
 
     @property
     def row(self) -> int | None:
-        """Row with the first motion of the start, at least 1; None until it is read."""
+        """Row of the first motion after the start line, at least 1; None until it is read."""
         return None if self._row is None else max(self._row, 1)
 
     def found(self) -> StartBlock:

@@ -162,7 +162,9 @@ def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> N
     wear = tool.length_wear if kind == 1 else 0.0  # it was measured as it cuts
     measured = replace(tool, length=length, radius=radius, length_wear=wear)
     if measured.corner_radius is not None and measured.corner_radius > radius:
-        raise at.fault('the radius is smaller than the corner radius of the tool', words.texts['R'])
+        raise at.fault(
+            'the radius is smaller than the corner radius of the tool', words.texts['R']
+        )
     mover.change(SetupChange('tools', measured, int(number)))
 
 

@@ -20,7 +20,7 @@ from cnc_interp.core import InterpError
 from cnc_interp.nodes.node_main import come_first
 from cnc_interp.processes.fork_server import begin_child
 from cnc_interp.processes.node_processes import load_nodes
-from cnc_interp.processes.this_host import use_sockets_only
+from cnc_interp.processes.this_host import stay_on_this_host
 
 if TYPE_CHECKING:
     from cnc_interp.client.recorder import Recorder
@@ -41,7 +41,7 @@ def _live(
     # After a signal to all processes the machine comes to rest, which is recorded.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     come_first(NICENESS)
-    use_sockets_only()
+    stay_on_this_host()
     # Imported now, when this process comes before others: bags take a second of work.
     from cnc_interp.client.recorder import Recorder
     from cnc_interp.client.served_node import ServedNode

@@ -50,7 +50,7 @@ def run_session(
     except BaseException:
         client.close()
         raise
-    with children, client:  # the nodes end last, and with them what is left in shared memory
+    with children, client:  # the nodes end last
         machine = Machine.load(request.machine)
         if companion is not None:
             companion.start(namespace, domain)

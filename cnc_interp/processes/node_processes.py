@@ -15,7 +15,6 @@ from pathlib import Path
 
 from cnc_interp.core import InterpError
 from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
-from cnc_interp.processes.shared_memory import remove_dead_segments
 from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
@@ -149,7 +148,6 @@ class Children:
                 time.sleep(LOOK)
         self._folder.cleanup()
         remove_dead_folders()
-        remove_dead_segments()
 
     def __enter__(self) -> Children:
         return self

@@ -1,4 +1,4 @@
-"""Nothing stays in shared memory or in temporary folders, however a run ends."""
+"""Nothing stays in temporary folders, however a run ends, and nothing is shared by memory."""
 
 import contextlib
 import os
@@ -15,8 +15,6 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from nodes_under_test import PATIENCE
-
-from cnc_interp.processes.shared_memory import FIRST_OF_DOMAINS
 
 #: Runs 6 s.
 LONG = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX100\nM2\n'
@@ -38,21 +36,31 @@ def family(process_id):
     return found
 
 
-def shared(process_id):
-    """
-    Names in shared memory that a process and its descendants have made, but common ports.
+def sockets(process_id):
+    """The sockets that a process has open, by their numbers."""
+    for opened in Path(f'/proc/{process_id}/fd').glob('*'):
+        with contextlib.suppress(OSError):
+            yield from re.findall(r'socket:\[([0-9]+)\]', str(opened.readlink()))
 
-    They hold the locks of these. What else they have open may be another run's: DDS reads what
-    comes to a port that a process of another run had before.
-    """
-    locks = set()
-    for member in family(process_id):
-        for opened in Path(f'/proc/{member}/fd').glob('*'):
-            with contextlib.suppress(OSError):
-                locks.update(re.findall(r'^/dev/shm/(fastrtps_\w+_el)$', str(opened.readlink())))
-    names = locks | {lock.removesuffix('_el') for lock in locks}
-    ports = {name: re.search(r'port([0-9]+)', name) for name in names}
-    return {n for n in names if not ports[n] or int(ports[n][1]) >= FIRST_OF_DOMAINS}
+
+def participants(run):
+    """How many processes of a run take part in DDS: they listen to UDP on this computer only."""
+    bound = {
+        row.split()[9]
+        for row in Path('/proc/net/udp').read_text().splitlines()
+        if row.split()[1].startswith('0100007F:')
+    }
+    return sum(not bound.isdisjoint(sockets(member)) for member in family(run.pid))
+
+
+def shared(run):
+    """Files of DDS in shared memory that the processes of a run use."""
+    found = set()
+    for member in family(run.pid):
+        with contextlib.suppress(OSError):
+            maps = Path(f'/proc/{member}/maps').read_text(errors='replace')
+            found.update(re.findall(r'/dev/shm/\S*fastrtps\S*', maps))
+    return found
 
 
 @pytest.fixture
@@ -78,58 +86,35 @@ def started(folder, text=LONG, *words):
     )
 
 
-def seen_until(run, done):
-    """What a run has in shared memory, until something is done or the run has ended."""
-    names, deadline = set(), time.monotonic() + PATIENCE
-    while run.poll() is None and not done(names):
-        assert time.monotonic() < deadline
-        names |= shared(run.pid)
-        time.sleep(0.5)
-    return names
-
-
-def segments(names):
-    return [name for name in names if re.fullmatch('fastrtps_[0-9a-f]{16}', name)]
-
-
-def left(names):
-    """What of the names is still there, and the command lines of those who have it open."""
-    there = {name: [] for name in names if (Path('/dev/shm') / name).exists()}
-    for maps in Path('/proc').glob('[0-9]*/maps'):
-        with contextlib.suppress(OSError):
-            text = maps.read_text(errors='replace')
-            command = maps.with_name('cmdline').read_text().replace('\0', ' ')
-            for name in there:
-                if f'/{name}\n' in text:
-                    there[name].append(f'{maps.parent.name}: {command}')
-    return there
+def live_until_all_take_part(run):
+    deadline = time.monotonic() + PATIENCE
+    while participants(run) < PARTICIPANTS:
+        assert run.poll() is None and time.monotonic() < deadline
+        time.sleep(0.1)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_nothing_stays_of_a_run_that_is_ended(how, folder):
     run = started(folder)
-    names = seen_until(run, lambda found: len(segments(found)) == PARTICIPANTS)
-    assert len(segments(names)) >= PARTICIPANTS
+    live_until_all_take_part(run)
+    assert shared(run) == set()
     run.send_signal(how)
     run.wait(PATIENCE)
-    assert not left(names)
     assert list((folder / 'tmp').iterdir()) == []
 
 
 @pytest.mark.thorough
 def test_the_next_run_removes_what_a_killed_one_has_left(folder):
     run = started(folder)
-    names = seen_until(run, lambda found: len(segments(found)) == PARTICIPANTS)
+    live_until_all_take_part(run)
     members = family(run.pid) - {run.pid}
     run.kill()
     run.wait(PATIENCE)
-    assert left(names)  # later, the end of a run of another test may have removed them
     deadline = time.monotonic() + PATIENCE
     while any(Path(f'/proc/{member}').exists() for member in members):  # the nodes end, too
         assert time.monotonic() < deadline
         time.sleep(0.05)
     assert list((folder / 'tmp').iterdir())
     started(folder).wait(PATIENCE)
-    assert not left(names)
     assert list((folder / 'tmp').iterdir()) == []

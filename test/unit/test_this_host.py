@@ -12,14 +12,12 @@ from cnc_interp.processes.this_host import (
     PEERS,
     PROFILE,
     RANGE,
-    SOCKETS,
     TRANSPORTS,
-    use_sockets_only,
     variables_of_this_host,
 )
 
 LAUNCH = Path(__file__).parents[2] / 'launch' / 'cnc_launch.py'
-ALONE = {RANGE: 'LOCALHOST', TRANSPORTS[0]: str(PROFILE)}
+ALONE = {RANGE: 'SYSTEM_DEFAULT', TRANSPORTS[0]: str(PROFILE)}
 
 
 @pytest.mark.parametrize(
@@ -32,25 +30,12 @@ ALONE = {RANGE: 'LOCALHOST', TRANSPORTS[0]: str(PROFILE)}
         ({PEERS: ''}, ALONE),
         ({TRANSPORTS[0]: 'own.xml'}, {RANGE: 'LOCALHOST'}),
         ({TRANSPORTS[1]: 'UDPv4'}, {RANGE: 'LOCALHOST'}),
+        ({'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp'}, {RANGE: 'LOCALHOST'}),
+        (ALONE, {}),
     ],
 )
 def test_what_the_user_has_set_is_respected(given, wanted):
     assert variables_of_this_host(given) == wanted
-
-
-@pytest.mark.parametrize(
-    ('given', 'wanted'),
-    [
-        ({}, {RANGE: 'SYSTEM_DEFAULT', TRANSPORTS[0]: str(SOCKETS)}),
-        (ALONE, {RANGE: 'SYSTEM_DEFAULT', TRANSPORTS[0]: str(SOCKETS)}),
-        ({TRANSPORTS[0]: 'own.xml'}, {RANGE: 'LOCALHOST', TRANSPORTS[0]: 'own.xml'}),
-        ({RANGE: 'SUBNET'}, {RANGE: 'SUBNET'}),
-    ],
-)
-def test_a_process_without_shared_memory_respects_it_too(given, wanted, monkeypatch):
-    monkeypatch.setattr(os, 'environ', dict(given))
-    use_sockets_only()
-    assert os.environ == wanted
 
 
 class Recorded:

@@ -24,6 +24,7 @@ from cnc_interp.commands.plan import (
     add_plan_command,
     add_run_command,
 )
+from cnc_interp.commands.send import add_send_command
 from cnc_interp.core import InterpError
 
 #: Options that name what a command writes: their folders are made before it works for minutes.
@@ -128,6 +129,7 @@ def parser() -> argparse.ArgumentParser:
         add_panel_command,
         add_mtconnect_command,
         add_operate_commands,
+        add_send_command,
         machine_files.add_machine_commands,
         add_bag_commands,
         identify.add_identify_commands,

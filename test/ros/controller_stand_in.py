@@ -3,9 +3,11 @@ A stand-in for a robot with joint_trajectory_controller and joint_state_broadcas
 
 A process of its own, with its own clock and period. It takes trajectories as ``controller_model``
 says, moves axes with a lag, and reports them. What it commanded is written to a file, row by row,
-and ``StandIn`` reads it. ``tell`` makes it stall, or holds an axis fast.
+and ``StandIn`` reads it. ``tell`` makes it stall, holds an axis fast, or puts it somewhere. Where
+``control_msgs`` is installed, it also takes goals of FollowJointTrajectory.
 """
 
+import contextlib
 import json
 import os
 import subprocess
@@ -20,7 +22,9 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1] / 'unit'))
 
 import rclpy
-from controller_model import ControllerModel
+from controller_model import ControllerModel, time_of
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.duration import Duration
 from rclpy.experimental import EventsExecutor
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -42,9 +46,10 @@ COLUMNS = 2 + len(JOINTS)
 class StandIn:
     """Starts the stand-in, and reads what it commanded; use it in ``with``."""
 
-    def __init__(self, domain):
+    def __init__(self, domain, environment=()):
         self.name = f'/robot_{uuid.uuid4().hex[:8]}'
-        self._domain, self._read = domain, 0
+        self.environment = os.environ | dict(environment) | {'ROS_DOMAIN_ID': str(domain)}
+        self._read = 0
 
     def parameters(self, delay):
         """Parameters of the machine node that lead to it."""
@@ -62,18 +67,20 @@ class StandIn:
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_robot_')
         self._log = Path(self._folder.name) / 'commanded'
         self._log.touch()
-        environment = os.environ | {'ROS_DOMAIN_ID': str(self._domain)}
         self._process = subprocess.Popen(
             [sys.executable, __file__, self.name, str(self._log)],
             stdin=subprocess.PIPE,
-            env=environment,
+            env=self.environment,
             text=True,
             start_new_session=True,
         )
         return self
 
     def tell(self, **order):
-        """Let it ``stall``, hold an axis fast (``stuck``: joint, or None), or tell a ``speed``."""
+        """Let it ``stall``, hold an axis fast (``stuck``: joint, or None), or tell a ``speed``.
+
+        ``at``: positions of JOINTS where it stands from now on, with a ``tolerance``.
+        """
         self._process.stdin.write(json.dumps(order) + '\n')
         self._process.stdin.flush()
 
@@ -113,6 +120,56 @@ class Robot:
         self.reports = self.node.create_publisher(JointState, f'{name}/joint_states', 10)
         self.speeds = self.node.create_publisher(Float64, f'{name}/speed_scaling', 10)
         self.stall, self.stuck, self.speed = False, None, 100.0
+        self.at, self.tolerance, self.goal = None, np.inf, None
+        with contextlib.suppress(ModuleNotFoundError):
+            from control_msgs.action import FollowJointTrajectory
+
+            self.result = FollowJointTrajectory.Result
+            self.progress = FollowJointTrajectory.Feedback
+            self.server = ActionServer(
+                self.node,
+                FollowJointTrajectory,
+                f'{name}/arm_controller/follow_joint_trajectory',
+                self.end,
+                goal_callback=self.admit,
+                handle_accepted_callback=self.begin,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+            )
+
+    def admit(self, goal):
+        why = self.model.refusal(goal.trajectory, self.clock.now().nanoseconds)
+        return GoalResponse.REJECT if why else GoalResponse.ACCEPT
+
+    def begin(self, goal):
+        self.goal, self.began = goal, self.clock.now().nanoseconds
+        self.length = time_of(goal.request.trajectory.points[-1].time_from_start)
+        self.hear(goal.request.trajectory)
+
+    def follow(self, now, wanted):
+        """Report the progress of a goal, and end it."""
+        progress = self.progress(joint_names=list(JOINTS))
+        progress.desired.time_from_start = Duration(nanoseconds=now - self.began).to_msg()
+        progress.error.positions = (wanted - self.axes).tolist()
+        self.goal.publish_feedback(progress)
+        cancelled = self.goal.is_cancel_requested
+        if cancelled or self.model.aborted or now > self.began + self.length:
+            if cancelled:
+                self.model = ControllerModel(JOINTS, self.axes)
+                self.say('cancelled')
+            goal, self.goal = self.goal, None
+            goal.execute()
+
+    def end(self, goal):
+        result = self.result()
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif self.model.aborted:
+            result.error_code = result.PATH_TOLERANCE_VIOLATED
+            result.error_string = self.model.aborted
+            goal.abort()
+        else:
+            goal.succeed()
+        return result
 
     def hear(self, message):
         why = self.model.take(message, self.clock.now().nanoseconds)
@@ -125,6 +182,9 @@ class Robot:
     def cycle(self):
         """One period of the controller."""
         now = self.clock.now().nanoseconds
+        if self.at is not None:
+            self.axes, self.at = np.array(self.at), None
+            self.model = ControllerModel(JOINTS, self.axes, self.tolerance)
         wanted = self.model.update(now, self.axes)[0]
         if self.model.aborted:
             self.say(f'aborted: {self.model.aborted}')
@@ -141,6 +201,8 @@ class Robot:
         )
         message.header.stamp = Time(nanoseconds=now).to_msg()
         self.reports.publish(message)
+        if self.goal is not None:
+            self.follow(now, wanted)
         self.speeds.publish(Float64(data=self.speed))
 
 

@@ -1,9 +1,10 @@
 """
 Motion by hand for minutes, with real processes: random keys, lost beats, moves, holds, stops.
 
-``PYTHONPATH=.:test/ros python benchmarks/jog.py --minutes 10 --reactions 20``. All setpoints that
-the machine executed are proven: limits and travel by differences, from rest to rest. A reaction
-counts from the command to the first setpoint that differs from the motion before it.
+``PYTHONPATH=.:test/ros:test/unit python benchmarks/jog.py --minutes 10 --reactions 20``. All
+setpoints that the machine executed are proven: limits and travel by differences, from rest to
+rest. A reaction counts from the command to the first setpoint that differs from the motion before
+it.
 """
 
 from __future__ import annotations

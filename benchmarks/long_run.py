@@ -1,14 +1,13 @@
 """
 A long run through the real nodes while another core is busy: nothing lost, memory flat.
 
-``PYTHONPATH=.:test/ros python benchmarks/long_run.py --minutes 60`` runs corners and turns for
-about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length`` and
-``--feed`` say how short and how fast), ``--program`` any other; ``--priority 0``
-runs the clock without SCHED_FIFO, ``--page-out`` leaves its pages unlocked, ``--period 0.25`` is
-the interpolation period in ms. Every executed
-setpoint is measured as it is told: numbers without a gap, velocity, acceleration and jerk by
-differences. Where ``cyclictest`` of rt-tests is installed, it runs beside at the same priority and
-tells what the kernel gives any thread.
+``PYTHONPATH=.:test/ros:test/unit python benchmarks/long_run.py --minutes 60`` runs corners and
+turns for about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length``
+and ``--feed`` say how short and how fast), ``--program`` any other; ``--priority 0`` runs the
+clock without SCHED_FIFO, ``--page-out`` leaves its pages unlocked, ``--period 0.25`` is the
+interpolation period in ms. Every executed setpoint is measured as it is told: numbers without a
+gap, velocity, acceleration and jerk by differences. Where ``cyclictest`` of rt-tests is
+installed, it runs beside at the same priority and tells what the kernel gives any thread.
 """
 
 from __future__ import annotations

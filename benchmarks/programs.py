@@ -211,14 +211,14 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
     lines = [
         '# The public programs',
         '',
-        f'{len(ran)} of {len(results)} programs run with every sample proven, by '
-        '`benchmarks/programs.py`; refused: [programs.md](../operate/programs.md).',
+        f'`benchmarks/programs.py`: {len(ran)} of {len(results)} programs run, every sample '
+        'proven; the others: [programs.md](../operate/programs.md).',
         '',
         'The column LinuxCNC counts motions and arcs that agree with its interpreter.',
         '',
         made_at(results),
         '',
-        f'`plan --workers 1` at {beside.pop("states", "")}, in turn; "-": refused, or too slow; '
+        f'`plan --workers 1` at {beside.pop("states", "")}, in turn; "-": rejected, or too slow; '
         f'of more than {MOST_LINES:,} lines the first 20,000.',
         '',
         '| program | machine | LinuxCNC | motion [s] | CPU [s] | wall [s] | memory [MB] |',

@@ -53,7 +53,7 @@ def column(*tail: int | str, default: Any = None, in_plans: bool = True) -> Any:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(column,))
 class Table:
-    """Base of tables: a frozen dataclass of read-only columns of equal length, or tables."""
+    """Base of tables: a frozen dataclass of equally long, read-only columns or tables."""
 
     declared: ClassVar[Mapping[str, Column]]  #: The columns by name, in order.
     _names: ClassVar[tuple[str, ...]]  # of all fields

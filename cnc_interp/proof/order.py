@@ -71,7 +71,7 @@ class Pursuit:
     lost: int = -1  #: First sample at which no piece can be reached, or -1.
 
     def follow(self, points: FloatArray, first: int, count: int) -> tuple[IntArray, IntArray]:
-        """Advance by k samples; return the first and last piece that each can have reached, or -1.
+        """Advance by k samples; return the first and last piece each can have reached (-1: none).
 
         ``points`` (k + 3, D) also has two samples before and one after; end samples are repeated.
         """

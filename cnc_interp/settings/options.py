@@ -109,7 +109,7 @@ class Settings:
     top: str = kinds.one_of(
         ('in_step', 'tolerance'),
         SMOOTHING,
-        'how the top curve of a corner is placed',
+        'how the curve of the tool axis is placed at a corner',
         for_comparison=True,
     )
     septic: bool = kinds.switch(

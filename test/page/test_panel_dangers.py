@@ -17,11 +17,19 @@ from cnc_interp.program.job import Tool
 
 LONG = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A0 C0\n' + 'G1 X30 F300\nG1 X0\n' * 200 + 'M30\n'
 FOCUS = 'document.activeElement?.closest("[data-mark]")?.dataset.mark ?? ""'
+LATE = 0.5  #: Longest delay of a beat [s].
 
 
 def here(panel):
-    panel.until(MachineState.IDLE)
-    return np.array(panel.next_state().commanded_positions)
+    """Where the axes rest; on a busy computer, beats of a key come after it was let go."""
+    before = None
+    while True:
+        panel.until(MachineState.IDLE)
+        now = np.array(panel.next_state().commanded_positions)
+        if np.array_equal(now, before):
+            return now
+        before = now
+        panel.spin_for(LATE)
 
 
 def hold_key(tab, name, seconds, device='mouse'):

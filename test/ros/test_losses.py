@@ -12,6 +12,7 @@ from losses import PARAMETERS, PROGRAM, ROWS, Row, fault_of, lose, next_program,
 from operated import Bench
 from std_msgs.msg import Float64
 
+from cnc_interp.nodes.lookahead_node import MOST_TOGETHER
 from cnc_interp.run.run_state import RunId
 
 Result = RunProgram.Result
@@ -74,7 +75,8 @@ def test_a_reset_ends_a_run_that_a_node_forgot_before_it_moved(benches):
         handle = bench.start(text=PROGRAM)
         bench.spin_until(lambda: bench.loaded)
         first = RunId(bench.loaded[-1].program_id)
-        bench.spin_until(lambda: bench.peers.told('segments', first).next_sequence > 0)
+        # What is sent together is resent together, and then the run goes on where it began.
+        bench.spin_until(lambda: bench.peers.told('segments', first).next_sequence > MOST_TOGETHER)
         lose(bench, Row('start', 'kill', ('feedrate_node',)))
         bench.spin_until(lambda: bench.peers.knows('segments', first.next_attempt()))
         assert bench.press('reset').success

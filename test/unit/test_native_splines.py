@@ -356,7 +356,7 @@ def test_curves_that_are_none_are_refused_in_the_stream_too():
     open_end[-1] = 1.0
     for bad, word in (
         (changed(tip=moved), 'does not begin where the tool is'),
-        (changed(tip=still, top=blocks.top - blocks.tip + still), 'stands still'),
+        (changed(tip=still, top=blocks.top - blocks.tip + still), 'rests in a part of this'),
         (changed(knot_interval=torn), 'interrupt the spline'),
         (changed(knot_interval=open_end), 'last two knot intervals'),
         (blocks[:4], 'at least 4 control points'),

@@ -258,7 +258,7 @@ def test_before_the_first_motion_the_tool_begins_upright_on_the_plane():
         ('G68 X0 Y0', 'G68: give the angle R'),
         ('G68.3 X1', 'G68.3: give X, Y and Z'),
         ('G68.2 J20\nG53.1 P4', 'P4: P must be 0, 1 or 2'),
-        ('CYCLE800(0,"",0,192,0,0,0,1,0,0,0,0,0,1)', 'CYCLE800: positions of rotary axes'),
+        ('CYCLE800(0,"",0,192,0,0,0,1,0,0,0,0,0,1)', 'CYCLE800: rotary positions cannot'),
         ('CYCLE800(0,"",0,64,0,0,0,1,0,9,0,0,0,1)', 'CYCLE800: solid angles are two'),
         ('CYCLE800(0,"",0,155,0,0,0,1,0,9,0,0,0,1)', 'CYCLE800: give the angles axis by axis'),
         ('CYCLE800(0,"",0,1,0,0,0,1,0,9,0,0,0,1)', 'CYCLE800: give the angles axis by axis'),

@@ -315,8 +315,8 @@ class ModalState(ModalValues):
         if self.frames.length:
             self.notice(
                 'WARNING: a tool length with tool-tip programming',
-                'it counts along the tool from the gauge point in the machine file '
-                '(tip_to_secondary_pivot_mm), and takes a part of the tolerances',
+                'it is measured along the tool from the gauge point in the machine file '
+                '(tip_to_secondary_pivot_mm), and uses part of the tolerances',
             )
 
     def aim(self) -> None:

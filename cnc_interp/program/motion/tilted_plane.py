@@ -85,7 +85,7 @@ class TiltedPlane:
         return turn
 
     def _projected(self, angles: FloatArray) -> FloatArray:
-        """Return the plane of X turned about Y by I, and Y turned about X by J; K turns it."""
+        """Return the plane of X turned I about Y and Y turned J about X, then turned by K."""
         along, beside = rotation(1, angles[0])[:, 0], rotation(0, angles[1])[:, 1]
         normal = np.cross(along, beside)
         return self.plane_of(along, normal) @ rotation(2, angles[2])

@@ -18,7 +18,8 @@ from cnc_interp.commands.cli import main
 from cnc_interp.proof.plan_files import read_plan
 
 PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A5 C10\nG1 X20 Y8 A9 C25 F3000\nX30 Y-5 Z4 A3\nM30\n'
-AWAY = [0.0, 0.0, 0.0, 0.0, 0.02]  #: Of a robot that stands elsewhere, in the order of JOINTS.
+LATEST = 0.1  #: Of the first cycle of the controller after the start of a trajectory [s].
+AWAY = [0.02, 0.0, 0.0, 0.0, 0.0]  #: Of a robot that stands elsewhere [m, rad].
 
 
 @pytest.fixture(scope='module')
@@ -37,8 +38,17 @@ def plan(tmp_path_factory):
 @pytest.fixture
 def robot(messages, plan):
     with StandIn(DOMAIN, messages) as robot:
-        robot.tell(at=read_plan(plan).position[0][::-1].tolist())
+        put(robot, read_plan(plan).position[0])
         yield robot
+
+
+def put(robot, position, **more):
+    """Put the robot somewhere, in the order of the axes, and wait until it holds there."""
+    robot.tell(at=list(position)[::-1], **more)
+    deadline = time.monotonic() + PATIENCE
+    while not (len(rows := robot.commanded()[2]) and np.array_equal(rows[-1], position)):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def sending(robot, plan):
@@ -76,8 +86,8 @@ def test_a_plan_is_executed_as_it_was_planned(robot, plan):
     end = float(setpoints['time'][-1])
     times, positions = times[between] - times[between][0], positions[between]
     assert times[-1] > end
-    # When its first cycle came is unknown by up to a period of the controller.
-    lags = np.linspace(0.0, 0.005, 501)
+    # How long after the start its first cycle came is unknown, and longer on a busy computer.
+    lags = np.arange(0.0, LATEST, 1e-5)
     path = np.array(setpoints['position'])
     worst = [
         np.abs(
@@ -93,8 +103,7 @@ def test_a_plan_is_executed_as_it_was_planned(robot, plan):
 
 @pytest.mark.thorough
 def test_a_robot_that_stands_elsewhere_does_not_move(robot, plan):
-    robot.tell(at=AWAY)
-    time.sleep(0.5)
+    put(robot, AWAY)
     sent = sending(robot, plan)
     faults = sent.communicate(timeout=PATIENCE)[1]
     assert sent.returncode == 2
@@ -113,7 +122,7 @@ def test_ctrl_c_ends_the_motion(robot, plan):
 
 @pytest.mark.thorough
 def test_why_the_controller_ended_it_is_told(robot, plan):
-    robot.tell(at=read_plan(plan).position[0][::-1].tolist(), tolerance=1e-4, stuck='slide_x')
+    put(robot, read_plan(plan).position[0], tolerance=1e-4, stuck='slide_x')
     sent = sending(robot, plan)
     faults = sent.communicate(timeout=PATIENCE)[1]
     assert sent.returncode == 2

@@ -113,10 +113,12 @@ def program(tip: FloatArray, axis: FloatArray, feed: float) -> str:
 
 
 def arms(folder: Path, count: int, seed: int) -> Iterator[tuple[Machine, Path]]:
-    """Yield arms and their files: those that are bundled, then others that are made of them."""
+    """Yield arms of six joints and their files: the bundled ones, then others made of them."""
     random = np.random.default_rng(seed)
     shutil.copytree(arms_directory(), folder, dirs_exist_ok=True)
-    names = sorted(file.stem for file in folder.glob('*.yaml'))
+    names = sorted(
+        file.stem for file in folder.glob('*.yaml') if len(Machine.load(file).axes) == 6
+    )
     for number in range(count):
         name, file = names[number % len(names)], folder / f'made_{number}.yaml'
         content = yaml.safe_load((folder / f'{name}.yaml').read_text())

@@ -29,8 +29,7 @@ from cnc_interp.machine_model.transform_port import Transform, reached
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
-from cnc_interp.proof.functions import MISSING
-from cnc_interp.proof.plan_files import BY_OPERATOR, BY_PROBE
+from cnc_interp.proof.plan_files import BY_OPERATOR, BY_PROBE, MISSING
 from cnc_interp.run.clearance_stage import ClearanceStage
 from cnc_interp.run.overrides import OperatorSettings, OverrideStep
 from cnc_interp.run.plan_writer import PlanWriter

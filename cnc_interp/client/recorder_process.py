@@ -11,15 +11,13 @@ import errno
 import multiprocessing
 import signal
 import time
-from collections.abc import Iterable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cnc_interp.core import InterpError
 from cnc_interp.nodes.node_main import come_first
-from cnc_interp.processes.fork_server import begin_child
-from cnc_interp.processes.node_processes import load_nodes
+from cnc_interp.processes.fork_server import begin_child, load_nodes
 from cnc_interp.processes.this_host import stay_on_this_host
 
 if TYPE_CHECKING:
@@ -34,18 +32,18 @@ READY, WHOLE = 'ready', 'whole'  #: Messages of the recorder, unless it sends an
 LAST_WAIT = 60.0
 
 
-def _live(
-    path: Path, namespace: str, domain: int, topics: tuple[str, ...], run: Connection
-) -> None:
+def _live(path: Path, namespace: str, domain: int, kept: bool, run: Connection) -> None:
     begin_child(NAME)
     # After a signal to all processes the machine comes to rest, which is recorded.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     come_first(NICENESS)
     stay_on_this_host()
     # Imported now, when this process comes before others: bags take a second of work.
-    from cnc_interp.client.recorder import Recorder
+    from cnc_interp.client.bag import TOPICS
+    from cnc_interp.client.recorder import NEEDED, Recorder
     from cnc_interp.client.served_node import ServedNode
 
+    topics = TOPICS if kept else NEEDED
     try:
         with ServedNode('record', namespace, domain) as node:
             _keep(Recorder(node.node, path, topics), node, run)
@@ -71,9 +69,12 @@ def _say(run: Connection, word: object) -> None:
 
 
 class RecorderProcess:
-    """The run's handle of the recorder process, which writes the bag ``path``."""
+    """The run's handle of the recorder process, which writes the bag ``path``.
 
-    def __init__(self, path: Path, topics: Iterable[str], namespace: str, domain: int):
+    ``kept``: whether the user keeps the bag. If not, it only has what plan files are made from.
+    """
+
+    def __init__(self, path: Path, kept: bool, namespace: str, domain: int):
         from cnc_interp.client.bag import refuse_existing
 
         refuse_existing(path)
@@ -83,7 +84,7 @@ class RecorderProcess:
         self._pipe, recorder = multiprocessing.Pipe()
         self._process = load_nodes().Process(
             target=_live,
-            args=(path, namespace, domain, tuple(topics), recorder),
+            args=(path, namespace, domain, kept, recorder),
             name=NAME,
             daemon=True,  # whoever forgets to end it can end all the same
         )

@@ -20,11 +20,8 @@ from typing import Any
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 
-from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.question import SentProgram
-from cnc_interp.client.recorded_run import recorded_run, write_run
-from cnc_interp.client.recorder import NEEDED
 from cnc_interp.client.recorder_process import RecorderProcess
 from cnc_interp.client.run_request import RunRequest, RunResult
 from cnc_interp.core import InterpError
@@ -356,8 +353,8 @@ def run_recorded(
             with ExitStack() as records:
                 recorder = None
                 if folder is not None:
-                    topics = NEEDED if request.record is None else TOPICS
-                    recorder = RecorderProcess(folder, topics, client.namespace, client.domain)
+                    kept = request.record is not None
+                    recorder = RecorderProcess(folder, kept, client.namespace, client.domain)
                     records.callback(recorder.finish)
                 with RunConsole(client, children, request, recorder) as console:
                     results = console.run(machine, started)
@@ -367,8 +364,7 @@ def run_recorded(
             text = reason_of(fault)
             return [replace(one, ok=False, message=f'{one.message}; {text}') for one in results]
         if folder is not None and (request.out is not None or judged):
-            with Bag(folder) as bag:
-                results = [written(bag, result, machine, request.out) for result in results]
+            results = written(folder, results, machine, request.out)
     return results
 
 
@@ -376,13 +372,25 @@ def reason_of(fault: Exception) -> str:
     return f'{fault.filename}: {fault.strerror}' if isinstance(fault, OSError) else str(fault)
 
 
-def written(bag: Bag, result: RunResult, machine: Machine, out: Path | None) -> RunResult:
-    if not result.ok:
-        return result
-    run = replace(recorded_run(bag, result.program_id), name=result.program)
-    with TemporaryFolder() as folder:
-        summary = write_run(run, machine, out or Path(folder))
-    return replace(result, tool_error=summary['tool_error'], flank_height=summary['flank_height'])
+def written(
+    record: Path, results: list[RunResult], machine: Machine, out: Path | None
+) -> list[RunResult]:
+    """Write the plan files of successful runs; return the results with the tool error."""
+    # Imported after the run, because what reads bags takes a third of a second to load.
+    from cnc_interp.client.bag import Bag
+    from cnc_interp.client.recorded_run import recorded_run, write_run
+
+    told = []
+    with Bag(record) as bag:
+        for result in results:
+            if result.ok:
+                run = replace(recorded_run(bag, result.program_id), name=result.program)
+                with TemporaryFolder() as folder:
+                    summary = write_run(run, machine, out or Path(folder))
+                found = {name: summary[name] for name in ('tool_error', 'flank_height')}
+                result = replace(result, **found)
+            told.append(result)
+    return told
 
 
 @contextmanager

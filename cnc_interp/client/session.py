@@ -10,7 +10,8 @@ from typing import Any
 from cnc_interp.client.run_request import RunRequest, RunResult
 from cnc_interp.core import InterpError, ProgramError
 from cnc_interp.core.small_files import config_directory
-from cnc_interp.processes.node_processes import Children, load_nodes
+from cnc_interp.processes.fork_server import load_nodes
+from cnc_interp.processes.node_processes import Children
 
 #: Domains whose ports Linux never assigns to other programs, and all domains.
 DOMAINS = range(1, 102)

@@ -295,12 +295,13 @@ def mtconnect_command(options: argparse.Namespace) -> int:
 
 def run_command(options: argparse.Namespace) -> int:
     """Stream a program through the ROS 2 nodes to the machine."""
-    from cnc_interp.processes.node_processes import load_nodes, process_start
+    from cnc_interp.processes.fork_server import load_nodes
 
     load_nodes()  # in another process, while this one imports the rest
     from cnc_interp.client.run_request import RunRequest
     from cnc_interp.client.session import run_session
     from cnc_interp.machine_model.machine import without_topic
+    from cnc_interp.processes.node_processes import process_start
     from cnc_interp.processes.temporary_folder import TemporaryFolder
 
     with TemporaryFolder() as folder:

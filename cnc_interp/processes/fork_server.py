@@ -39,6 +39,11 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
     return multiprocessing.get_context('forkserver')
 
 
+def load_nodes() -> ForkServerContext:
+    """Begin to load the modules of the nodes in the fork server."""
+    return begin_loading(['cnc_interp.nodes.preload_nodes'])
+
+
 def begin_child(name: str) -> None:
     """Name a child of the fork server in ps; it obeys only SIGTERM, even an earlier one."""
     os.setsid()

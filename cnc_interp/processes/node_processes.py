@@ -10,15 +10,14 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from multiprocessing.context import ForkServerContext, ForkServerProcess
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 from cnc_interp.core import InterpError
-from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
+from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, load_nodes
 from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
-PRELOADED = ['cnc_interp.nodes.preload_nodes']  #: What the fork server loads before it forks.
 LOOK = 0.01  #: Time between checks whether the nodes have ended [s].
 #: A node that does not end within this time is killed; a machine may have to stop first [s].
 LAST_WAIT = 10.0
@@ -48,11 +47,6 @@ class Started:
         words = written.strip().splitlines()
         last = words[-1] if words else f'exit code {self.code}'
         return last.removeprefix('cnc_interp: ')
-
-
-def load_nodes() -> ForkServerContext:
-    """Load the modules of the nodes in the fork server, in the background."""
-    return begin_loading(PRELOADED)
 
 
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:

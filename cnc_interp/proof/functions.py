@@ -12,13 +12,12 @@ from cnc_interp.machine_model.signals import AWAY, FOLLOWS, TOWARD, Signals
 from cnc_interp.proof.limits_again import limits_of_differences
 from cnc_interp.proof.path_grid import ROUNDING
 from cnc_interp.proof.plain_reader import ReadCall
-from cnc_interp.proof.plan_files import Columns, PlanFiles, gathered
+from cnc_interp.proof.plan_files import MISSING, Columns, PlanFiles, gathered
 from cnc_interp.proof.program_shapes import SLACK
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger
 
 SHALLOW = 0.5  #: Largest depth that a tapped hole may lack [rev].
 KNOWN_ANGLES = 0.9  #: Least share of a line's periods in which the spindle's angle is known [-].
-MISSING = -1  #: Setpoint number of a function that did not act.
 SAME_VALUE = 1e-9  #: Largest relative difference of equal output values [-].
 
 

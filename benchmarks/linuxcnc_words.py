@@ -28,9 +28,9 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, JobSetup, Tool, read_text
 from cnc_interp.program.job import WORK_OFFSETS
+from cnc_interp.proof.compared_moves import RowsByPlace
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, Setup, read_by_linuxcnc
 from cnc_interp.proof.plain_reader import ReadCall, ReadMove
-from cnc_interp.proof.program_again import compare_places
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.options import Settings
 
@@ -373,11 +373,12 @@ class Readers:
             return 'refused by both' if refused else why, ''
         if refused:
             return f'refused by us, {refused}', ''
-        found = compare_places(columns, self.machine, moves)
+        found = RowsByPlace(columns, self.machine).follow(moves)
         what = ALIKE
         if found.faults and (rounded := re.sub(r'(?<=Q)[\d.]+', _a_little_more, text)) != text:
             # LinuxCNC pecks once more where only rounding is left.
-            found = compare_places(columns, self.machine, self.by_linuxcnc(rounded, rows))
+            moves = self.by_linuxcnc(rounded, rows)
+            found = RowsByPlace(columns, self.machine).follow(moves)
             what = 'alike but for a peck of rounding'
         return DIFFERENT if found.faults else what, '\n  '.join(found.faults[:2])
 

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 from cnc_interp.processes.one_thread import use_one_thread
 
 #: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
-TURNS = 7
+TURNS = 13
 ROOT = Path(__file__).parents[1]
 use_one_thread()  # before NumPy is loaded
 #: Tests that start nodes or a browser: one lane, in which a second process helps at the end.

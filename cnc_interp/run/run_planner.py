@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, PlanningError
+from cnc_interp.core import FloatArray, IntArray, PlanningError
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.planner_tuning import wanted_tool
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
@@ -203,7 +203,12 @@ class RunPlanner:
 
     def with_lines(self, chunk: Chunk) -> Chunk:
         samples, tail = (
-            replace(part, line=np.array([*map(self.line_of, part.block.tolist())], dtype=np.int64))
-            for part in (chunk.samples, chunk.tail)
+            replace(part, line=self._lines_of(part.block)) for part in (chunk.samples, chunk.tail)
         )
         return replace(chunk, samples=samples, tail=tail)
+
+    def _lines_of(self, block: IntArray) -> IntArray:
+        """Return the line of each block; consecutive rows of one block are looked up once."""
+        first = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
+        lines = np.array([*map(self.line_of, block[first].tolist())], dtype=np.int64)
+        return np.repeat(lines, np.diff(first, append=len(block)))

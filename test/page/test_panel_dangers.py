@@ -46,6 +46,7 @@ def zero_of_x(panel):
     return panel.setup.work_offsets.get('G54', {}).get('X')
 
 
+@pytest.mark.thorough
 def test_no_key_of_the_keyboard_changes_an_offset_and_a_zero_is_undone(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: tab.text('work X') not in (None, '–') and tab.text('state') == 'idle')
@@ -112,6 +113,7 @@ def test_what_is_typed_keeps_its_length_when_the_unit_changes(panel):
 
 
 @pytest.mark.parametrize('phone', [False, True])
+@pytest.mark.thorough
 def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
     device = 'touch' if phone else 'mouse'
     size = (390, 844, True) if phone else (1366, 768)
@@ -142,6 +144,7 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
     panel.give(tab, 'G90')
 
 
+@pytest.mark.thorough
 def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_path):
     program = tmp_path / 'looked_at.ngc'
     program.write_text(LONG)
@@ -167,6 +170,7 @@ def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_p
     panel.reset(first)
 
 
+@pytest.mark.thorough
 def test_m6_without_a_tool_changer_waits_and_names_the_tool(panel, tmp_path):
     program = tmp_path / 'two_tools.ngc'
     program.write_text('G21 G90\nG0 X1 Y0 Z50\nG1 X5 F2000\nT5 M6\nG43 H5\nG1 X8 Z50\nM30\n')
@@ -235,6 +239,7 @@ def rests_at(tab):
 
 
 @pytest.mark.parametrize('in_motion', [False, True])
+@pytest.mark.thorough
 def test_single_block_says_where_the_tool_rests(panel, tmp_path, in_motion):
     lines = [f'G1 X{x} Y{y} F1500' for x, y in SQUARE] * 5
     program = tmp_path / 'corner.ngc'

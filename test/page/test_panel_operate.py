@@ -57,6 +57,7 @@ def choose(panel, tab, line, which, told):
     panel.press_key(tab, 'start here', lambda: told in tab.text('start'))
 
 
+@pytest.mark.thorough
 def test_the_task_list(panel, part):
     tab = panel.open_in_charge()
     panel.load(tab, part)
@@ -214,6 +215,7 @@ def rests(panel, tab, served=True):
 
 
 @pytest.mark.parametrize('pad', few_of(3, DEVICES), indirect=True)
+@pytest.mark.thorough
 def test_an_axis_moves_exactly_while_a_real_pointer_holds_its_key(panel, pad):
     tab, device = pad
     x, y = moves(panel, tab, device)

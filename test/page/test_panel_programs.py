@@ -50,6 +50,7 @@ def rewrite(tab, text, field='edited text'):
     tab.send('Input.insertText', text=text)
 
 
+@pytest.mark.thorough
 def test_the_page_shows_times_by_tool_and_each_run_with_its_operator(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: tab.text('state') == 'idle')
@@ -90,6 +91,7 @@ def test_the_page_shows_times_by_tool_and_each_run_with_its_operator(panel):
     tab.click_with_mouse('close times')
 
 
+@pytest.mark.thorough
 def test_a_program_is_opened_edited_and_saved_under_another_name(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: tab.text('state') == 'idle')
@@ -122,6 +124,7 @@ def test_a_program_is_opened_edited_and_saved_under_another_name(panel):
     tab.click_with_mouse('close programs')
 
 
+@pytest.mark.thorough
 def test_a_program_of_the_folder_waits_in_the_queue(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: tab.text('state') == 'idle')
@@ -136,6 +139,7 @@ def test_a_program_of_the_folder_waits_in_the_queue(panel):
     tab.wait(lambda: tab.text('waiting') == '')
 
 
+@pytest.mark.thorough
 def test_a_macro_that_moves_asks_first(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: tab.text('state') == 'idle')

@@ -141,6 +141,7 @@ def test_moves_that_it_cannot_make_are_refused(bench):
     assert not found.success and 'J3 would go to' in found.message
 
 
+@pytest.mark.thorough
 def test_hold_away_override_and_emergency_stop(bench, tmp_path, capsys):
     start, first = bench.place, len(bench.executed)
     listener = rclpy.create_node('recorder', namespace=bench.namespace, context=bench.context)

@@ -54,6 +54,7 @@ def test_the_first_motion_was_a_period_per_setpoint_ago(monkeypatch):
     assert console._first_motion == pytest.approx(49.4)
 
 
+@pytest.mark.thorough
 def test_a_client_whose_ros_stands_at_its_end_leaves():
     done = subprocess.run([sys.executable, '-c', STANDS], capture_output=True, timeout=60)
     assert done.returncode == 1 and b'in close' in done.stderr

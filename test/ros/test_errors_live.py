@@ -37,6 +37,7 @@ M2
 """
 
 
+@pytest.mark.thorough
 def test_a_probed_program_is_compensated_and_proven(tmp_path, capsys):
     true = TrueMachine(1)  # vmc
     assert true.length == 0.0

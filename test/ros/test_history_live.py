@@ -43,6 +43,7 @@ def until(bench, state):
     bench.spin_until(lambda: bench.peers.state.state == state)
 
 
+@pytest.mark.thorough
 def test_a_run_that_was_held_and_one_that_was_stopped_are_rows(bench):
     # Slowly, so that it does not end before a busy computer presses the key.
     bench.override.publish(Float64(data=0.1))

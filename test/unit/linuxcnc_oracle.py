@@ -7,8 +7,8 @@ import numpy as np
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_program
+from cnc_interp.proof.compared_moves import RowsByPlace
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, Setup, read_by_linuxcnc
-from cnc_interp.proof.program_again import compare_places
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.options import Settings
 
@@ -54,6 +54,6 @@ def judged(path, machine_name, partly, tools=None):
     setup = JobSetup(at_zero, {number: Tool(length) for number, length in lengths.items()})
     blocks = read_program(path, Transform.of(machine), Settings(feedrate=0.05), setup).blocks
     moves = motions_of(path, machine, len(blocks), lengths, partly)
-    found = compare_places(columns_of(blocks), machine, moves)
+    found = RowsByPlace(columns_of(blocks), machine).follow(moves)
     beyond = tuple(fault for fault in found.faults if not (partly and 'no motion of' in fault))
     return replace(found, faults=beyond)

@@ -445,6 +445,7 @@ def test_the_spin_changes_between_cuts_only(tmp_path, monkeypatch):
         assert np.abs(spins[cut] - spin).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_best_bends_the_spin_and_is_not_slower(tmp_path):
     machine, times = Machine.load('ur10e'), {}
     for spin in ('auto', 'best'):

@@ -304,6 +304,7 @@ def test_how_deep_two_bodies_overlap():
     assert depth == pytest.approx(-0.007, abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_a_contact_that_is_short_for_its_line_has_its_distance():
     """A ball passes another one by 0.05 mm, in 1.6 mm of a line of 200 mm."""
     machine = Machine.load('xyzac')

@@ -159,6 +159,7 @@ def test_programs_without_words_begin_where_the_machine_file_has_the_joints(tmp_
     assert np.abs(q[:, [E1, U]] - [-45 * DEG, 0.3]).max() < 1e-12
 
 
+@pytest.mark.thorough
 def test_a_joint_leads_past_a_singular_pose_while_the_rail_moves(tmp_path):
     machine = changed(tmp_path, tcp='{xyz_mm: [80, 0.0, 130.0], rpy_deg: [0.0, 20.0, 0.0]}')
     chain, seen = Transform.of(machine), []
@@ -278,6 +279,7 @@ FINI
 """
 
 
+@pytest.mark.thorough
 def test_spin_auto_moves_the_rail_between_cuts_to_where_the_arm_reaches_them(tmp_path, capsys):
     machine = changed(tmp_path, base='floor', part='{xyz_mm: [700, 0, 400]}', start='{}')
     assert machine.axis_names[6:] == ('U',)

@@ -215,6 +215,7 @@ def test_by_hand_an_axis_moves_alone_for_the_operator():
     assert nominal(of, bench.q[-1:])[0, :2] == pytest.approx([0.1, -0.05], abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_keys_along_axes_and_tool_keep_all_limits():
     of = TrueMachine(0).machine
     bench = Bench(of)

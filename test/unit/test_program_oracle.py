@@ -12,9 +12,10 @@ from linuxcnc_oracle import PROGRAMS, columns_of, judged, motions_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program, read_program
+from cnc_interp.proof.compared_moves import RowsByPlace
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, interpreter, read_by_linuxcnc
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.proof.program_again import compare_places, compare_with_text
+from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
@@ -138,14 +139,14 @@ def test_the_comparison_sees_differences(tmp_path):
     machine = Machine.load('xyz')
     blocks = read_program(path, Transform.of(machine), Settings()).blocks
     motions = list(motions_of(path, machine, len(blocks)))
-    assert not compare_places(columns_of(blocks), machine, motions).faults
+    assert not RowsByPlace(columns_of(blocks), machine).follow(motions).faults
     for changed in (
         replace(blocks, tip=blocks.tip + np.where(np.arange(len(blocks)) == 9, 1e-5, 0)[:, None]),
         replace(blocks, feedrate=blocks.feedrate * 1.01),
         replace(blocks, rapid=~blocks.rapid),
         blocks[: len(blocks) - 1],
     ):
-        assert compare_places(columns_of(changed), machine, motions).faults
+        assert RowsByPlace(columns_of(changed), machine).follow(motions).faults
 
 
 SETUP = """

@@ -313,6 +313,7 @@ def test_planted_faults_of_the_cutter_are_found(folder, capsys):
     assert verdict()[0] == 0
 
 
+@pytest.mark.thorough
 def test_what_is_left_is_the_next_stock(folder):
     assert plan(folder, '--save-stock') == 0
     surface = triangles_of(folder / 'plan' / 'stock.stl', MM, 0.0)  # watertight, or it raises

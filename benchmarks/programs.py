@@ -211,15 +211,17 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
     lines = [
         '# The public programs',
         '',
-        f'`benchmarks/programs.py`: {len(ran)} of {len(results)} programs run, every sample '
-        'proven; the others: [programs.md](../operate/programs.md).',
+        f'`benchmarks/programs.py`: {len(ran)} of {len(results)} programs run, every sample is '
+        'proven. Reasons for the others: [programs.md](../operate/programs.md).',
         '',
-        'The column LinuxCNC counts motions and arcs that agree with its interpreter.',
+        'The column LinuxCNC gives the numbers of motions and arcs that agree with its '
+        'interpreter.',
         '',
         made_at(results),
         '',
-        f'`plan --workers 1` at {beside.pop("states", "")}, in turn; "-": rejected, or too slow; '
-        f'of more than {MOST_LINES:,} lines the first 20,000.',
+        f'The figures are those of `plan --workers 1` at {beside.pop("states", "")}, in this '
+        f'order. "-": rejected, or too slow. Of more than {MOST_LINES:,} lines, the first 20,000 '
+        'are used.',
         '',
         '| program | machine | LinuxCNC | motion [s] | CPU [s] | wall [s] | memory [MB] |',
         '|---|---|---|---|---|---|---|',

@@ -24,7 +24,7 @@ PAGE = ROOT / 'docs' / 'course.md'
 EXAMPLES = sorted((ROOT / 'examples').glob('[0-9][0-9]_*.py'))
 HEAD = """# Sixteen examples
 
-Copy an example, run it with `python`, and change it. Each is complete, uses only the
+Copy an example, run it with `python`, and change it. Each example uses only the
 [library](library.md), and opens the figure that is shown here.
 `docs/make_course.py` makes this page.
 """

@@ -1,4 +1,4 @@
-"""Turn axis positions into tool poses; beside the pole a small change of the pose turns C far."""
+"""Convert axis positions into poses; near the pole, a small change of the pose turns C far."""
 
 import numpy as np
 from matplotlib import pyplot as plt

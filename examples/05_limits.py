@@ -1,4 +1,4 @@
-"""Ask which limit costs time: plan the same path with one limit of all axes halved."""
+"""Find which limit costs time: plan the same path with one kind of limit halved on all axes."""
 
 from dataclasses import replace
 from pathlib import Path

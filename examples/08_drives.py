@@ -1,4 +1,4 @@
-"""Simulate what drives make of a motion, and what error the tool has."""
+"""Simulate how drives execute a motion, and the error of the tool tip."""
 
 import numpy as np
 from matplotlib import pyplot as plt

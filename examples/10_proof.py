@@ -1,4 +1,4 @@
-"""Cheat, and be caught: the check recomputes every limit from the setpoints alone."""
+"""Manipulate a plan, and let the check find it from the setpoints alone."""
 
 from dataclasses import replace
 

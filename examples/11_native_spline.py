@@ -1,4 +1,4 @@
-"""Write a path given as two cubic B-splines as a program with native splines.
+"""Turn two cubic B-splines, of tool tip and tool axis, into a program with native splines.
 
 Flank milling paths are published in this form: knots, and control points of the tool tip and of a
 second point on the tool axis, in mm.

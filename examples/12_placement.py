@@ -1,4 +1,4 @@
-"""Find where a part should lie: the same program, turned about Z on the table."""
+"""Find the fastest placement of a part: the same program, turned about Z on the table."""
 
 from pathlib import Path
 

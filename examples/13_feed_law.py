@@ -1,4 +1,4 @@
-"""Compare a feed law on the problem set: put yours in place of `trapezoid`."""
+"""Score a feed law on the problem set: put yours in place of `trapezoid`."""
 
 import numpy as np
 from matplotlib import pyplot as plt

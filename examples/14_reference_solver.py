@@ -1,10 +1,10 @@
-"""Solve the jerk-limited feed problem slowly and clearly, and compare with the product.
+"""Solve the jerk-limited feed problem with a short reference solver; compare with our planner.
 
     python examples/14_reference_solver.py
 
 plans ``five_blocks.ngc`` with about 100 lines of NumPy and SciPy. The numbers in parentheses are
-those of the equations in docs/how_it_works/feedrate.md. The problem is the product's, the method
-is not: a sequence of linear programs takes the place of the interior-point method.
+those of the equations in docs/how_it_works/feedrate.md. The problem is that of our planner (the
+"product"). The method differs: linear programs replace the interior-point method.
 """
 
 from pathlib import Path

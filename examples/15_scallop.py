@@ -1,4 +1,4 @@
-"""Mill a surface with passes of one scallop height."""
+"""Mill a surface with passes of constant scallop height."""
 
 import numpy as np
 from matplotlib import pyplot as plt

@@ -1,4 +1,4 @@
-"""How much of the time at least one limit is active, and whether any limit is passed."""
+"""Share of the time in which at least one limit is active; whether any limit is exceeded."""
 
 from __future__ import annotations
 

@@ -1,11 +1,13 @@
 """Run every benchmark whose figures the documentation cites, one after the other.
 
-    PYTHONPATH=. python benchmarks/all.py            # hours; each as its page cites it
+    PYTHONPATH=. python benchmarks/all.py            # hours; each with the options that its page
+                                                     # cites
     PYTHONPATH=. python benchmarks/all.py --small    # minutes: those that need neither ROS nor
                                                      # public programs, with few samples
-    PYTHONPATH=. python benchmarks/all.py nbuffer    # some of them
+    PYTHONPATH=. python benchmarks/all.py nbuffer    # only the named ones
 
-Each prints its own table; a summary of exit codes and times follows. Each is a process of its own.
+Each benchmark runs in its own process and prints its own table. A summary of exit codes and times
+follows.
 """
 
 from __future__ import annotations

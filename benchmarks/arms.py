@@ -1,16 +1,18 @@
 """
-Arms: plans of seeded paths, chosen spins against constants, lines through the wrist.
+Arms: plans along random paths, chosen spins against constant ones, lines through the wrist.
 
     PYTHONPATH=. python benchmarks/arms.py [--quick] [--seed N]
 
-Ten arms: the two that are bundled, and eight that are made of them, of other sizes and with tools
-that lean otherwise. Each path is planned with ``--spin auto`` and proven; some are planned with
-eight constant spins, too. Lines of 0.6 m lead through poses with |J5| below 2 deg from and to
-poses where it is above 5 deg, and the spin at both ends is the same. Those count that an arm could
-follow with this spin if it had any time. The last line has the counts. The exit code is 0 only if
-every plan is proven, no limit is exceeded by more than rounding, tips and tool axes are the same
-as those of the chain of the proof, and of pinocchio, if installed, no chosen spin is slower than
-the best constant, it saves 2 % over the median, and enough lines are passed without a stop.
+There are ten arms: the two bundled ones, and eight derived from them with other sizes and other
+tool tilts. Each path is planned with ``--spin auto`` and proven; some are also planned with eight
+constant spins. Lines of 0.6 m lead through poses with |J5| below 2 deg; at both ends |J5| is above
+5 deg and the spin is the same. Only lines count that an arm could follow with this spin if it had
+any amount of time. The last line prints the counts. The exit code is 0 only if
+
+- every plan is proven, and no limit is exceeded by more than rounding;
+- tips and tool axes equal those of the proof's chain (and of pinocchio, if installed);
+- no chosen spin is slower than the best constant spin, and in the median the choice saves 2 %;
+- enough lines are passed without a stop.
 """
 
 from __future__ import annotations

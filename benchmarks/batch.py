@@ -1,16 +1,17 @@
 """
-A batch of all public programs on five machines: wall time, efficiency, and the same table.
+A batch of all public programs on five machines: wall time, efficiency, and equal tables.
 
     python benchmarks/batch.py [--programs DIR] [--machines M ...] [--skip NAME ...]
     python benchmarks/batch.py --small N
     python benchmarks/batch.py --beside PROGRAM
 
-Three batches of the same tasks: one worker, two workers, and two workers of which one is killed
-every five seconds. Told are wall times, the processor time of all workers, the efficiency of two
-workers (time of one worker over twice the time of two) and whether the tables are equal byte for
-byte. With ``--small N``, N small programs: time of each, and memory of the command in the middle
-and at most. With ``--beside PROGRAM``, this program runs over ROS while a batch with two workers
-goes on beside it: its setpoints, underruns, and least motion that was ready.
+The same tasks run in three batches: with one worker, with two workers, and with two workers of
+which one is killed every five seconds. Printed are wall times, the processor time of all workers,
+the efficiency of two workers (time with one worker divided by twice the time with two), and
+whether the tables are equal byte for byte. ``--small N`` runs N small programs and prints the time
+of each, and the memory of the main process halfway and at its largest. ``--beside PROGRAM`` runs
+this program over ROS beside a batch with two workers, and prints its setpoints, underruns and the
+least buffered motion.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """
-A batch over a cluster of one scheduler and two workers, each in a network namespace of its own.
+A batch on a cluster of one scheduler and two workers, each in its own network namespace.
 
     sudo python benchmarks/batch_cluster.py [PROGRAM ...] [--machines M ...]
 
-Four namespaces on a bridge: scheduler, two workers, and who asks. The batch is made three times:
-here with two processes, by the cluster, and by the cluster while one of its workers is cut off the
-network in the middle. Told are wall times, and whether the tables are equal byte for byte.
+Four namespaces are connected by a bridge: scheduler, two workers, and the client. The batch runs
+three times: on this computer with two processes, on the cluster, and on the cluster while one of
+its workers is disconnected halfway. Printed are wall times, and whether the tables are equal byte
+for byte.
 """
 
 from __future__ import annotations

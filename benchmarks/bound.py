@@ -1,12 +1,13 @@
 """
-The least time beside the law: how near it is, and what it costs of planning; run by itself.
+The lower bound of the time: how near the motion law is to it, and what the bound costs.
 
     PYTHONPATH=. python benchmarks/bound.py
     PYTHONPATH=. python benchmarks/bound.py --programs 4000 [--only NAME ...]
 
-The second way takes the first blocks of the public programs. It counts the cells of the path that
-are planned in a second, with the bound, and plans for other periods, too: "use" is the largest
-share of a limit that differences of the setpoints take at 0.25, 1 and 4 ms. CPU time.
+Run it alone on the computer. The second command takes the first blocks of the public programs. It
+prints how many path cells are planned per second, bound included, and also plans for other
+periods: "use" is the largest share of a limit in differences of the setpoints at 0.25, 1 and 4 ms.
+Times are CPU times.
 """
 
 from __future__ import annotations

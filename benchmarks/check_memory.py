@@ -1,15 +1,15 @@
 """
-Most memory of `check` over the length of the motion.
+Memory of `check` over the length of the motion.
 
     python benchmarks/check_memory.py [SETPOINTS ...] [--dense] [--compressed]
 
-A 5-axis raster that ends where it begins is planned once. Its plan files are then repeated until
-the motion has about so many setpoints of 1 ms (1, 5, 15 and 45 million), and checked. The blocks
-of the raster are 10 mm long at F300; with --dense they are 0.4 mm long at F3000 and run as curves,
-so program and path grow with the motion, too. With --compressed the plan files are so, as those of
-others may be. Prints a row for each length: setpoints, program
-rows, grid points of the path, size of the plan files, the most memory that the process of `check`
-held, its time, and its processor time. 45 million setpoints need 8 GB on the disk.
+A 5-axis raster that ends where it begins is planned once. Its plan files are repeated until the
+motion has about the requested number of setpoints of 1 ms (1, 5, 15 and 45 million), and checked.
+The blocks of the raster are 10 mm long at F300. With --dense they are 0.4 mm long at F3000 and
+planned as curves, so that program and path also grow with the motion. --compressed compresses the
+plan files, as other writers may do. For each length a row shows setpoints, program rows, grid
+points of the path, size of the plan files, and the largest memory, wall time and processor time of
+`check`. 45 million setpoints need 8 GB of disk space.
 """
 
 from __future__ import annotations

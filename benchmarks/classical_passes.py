@@ -1,9 +1,9 @@
 """
-The classical iso-scallop path [TL2008, 1], which the figures of the documentation compare with.
+The classical iso-scallop path [TL2008, 1], for comparison in figures of the documentation.
 
-Its angles are constant, and each pass follows from the scallop of the one before. The guided point
-moves over the guiding surface until the mill leaves the same scallop point with the same tangent.
-Such passes may turn back or cross themselves; the result says where.
+Its tool angles are constant, and each pass follows from the scallop of the previous one. The
+guided point moves over the guiding surface until the mill leaves the same scallop point with the
+same tangent. Such passes may turn back or cross themselves; the result says where.
 """
 
 from __future__ import annotations

@@ -7,14 +7,14 @@ Clearances: random scenes with a known result, certificates, and programs with c
     python benchmarks/collision.py --programs   # the programs alone
     python benchmarks/collision.py --stock      # volumes of the stock, and segments per second
 
-A scene has two convex bodies on links of a machine and a path on which all axes move. One body is
-moved until the least distance along the path, by dense sampling, is a chosen one: below the
-clearance of 0.1 mm by 2 to 316 um in a scene with a hit, above it by as much in a clear one. In a
-fifth of the hits it is 0.5 to 2 um, so that the stretch below the clearance is shorter than
-0.5 mm, one setpoint of 1 ms at 30 m/min. The second program (``proof/clearance.py``) verifies
-every certificate.
+A scene has two convex bodies on links of a machine, and a path on which all axes move. One body is
+shifted until the smallest distance along the path, found by dense sampling, has a chosen value: 2
+to 316 um below the clearance of 0.1 mm in scenes with a hit, as much above it in clear ones. In a
+fifth of the hits it is only 0.5 to 2 um below, so that the stretch below the clearance is shorter
+than 0.5 mm, which is one setpoint of 1 ms at 30 m/min. The second program
+(``proof/clearance.py``) verifies every certificate.
 
-Prints a line of counts now and then, and one last; exits 0 only if nothing was missed, every
+Prints counts now and then, and a final line. The exit code is 0 only if no hit was missed, every
 certificate holds, and at most 1 % of the clear scenes are reported as hits.
 """
 

@@ -1,9 +1,9 @@
 """
 Compensated paths against exact geometry: contours (G41, G42), and contact normals (G41.2).
 
-``PYTHONPATH=. python benchmarks/compensated_paths.py`` prints the tables of
-``docs/operate/programs.md``. Contours are lines and arcs; all distances from them are closed
-formulas of this script. It shares no code with the reader of programs.
+``PYTHONPATH=. python benchmarks/compensated_paths.py`` prints the figures of
+``docs/operate/programs.md``. Contours consist of lines and arcs; this script computes all
+distances from them by closed formulas. It shares no code with the program reader.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """
-What compensation leaves of the errors at the tool, and of the ridges on surfaces.
+Errors at the tool, and ridges on surfaces, that remain with compensation.
 
     PYTHONPATH=. python benchmarks/compensation.py --model identified.yaml
 
-Programs are planned on ``xyzac_tired`` and executed by its simulated drives: as they are, with the
-model compensated, and with models all of whose values are wrong by 20 %.
-``--model`` is what ``cnc-interp identify`` wrote; the truth is taken without it.
+Programs are planned on ``xyzac_tired`` and executed by its simulated drives: without compensation,
+with compensation by the model, and by models whose values are all wrong by 20 %. ``--model`` is a
+file written by ``cnc-interp identify``; without it the true model is used.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """
-What page and nodes cost at rest and in a run: shares of one core, process by process.
+CPU time of page and nodes at rest and in a run: share of one core for each process.
 
 ``PYTHONPATH=.:test/ros:test/page:test/unit python benchmarks/cpu_share.py --seconds 60`` starts
-``cnc-interp panel`` as its user does, with a browser of its own, and counts the CPU time of each
-process of cnc_interp over some time: at rest without a page, at rest with one, and while a program
-runs (``--run``). The browser is not counted in the sum: it draws in software here.
+``cnc-interp panel`` as its user does, with its own browser, and measures the CPU time of each
+process of cnc_interp: at rest without an open page, at rest with one, and while a program runs
+(``--run``). The sum does not include the browser, because it renders in software here.
 """
 
 from __future__ import annotations

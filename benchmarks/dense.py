@@ -4,14 +4,15 @@ Dense programs as curves and corner by corner: the tables of docs/how_it_works/d
     PYTHONPATH=. python benchmarks/dense.py [--most N] [--only NAME ...]
     PYTHONPATH=. python benchmarks/dense.py --growth 1000 10000 100000
 
-Made ones: a dome spiral of 2,000 blocks of 0.5 mm, with and without round-off noise, and 600
-blocks of 0.2 mm, the tool along the normal, both tolerances 0.01 mm. Public ones, where a folder
-``shared`` stands beside the repository: their first N blocks (5,000), on the machines and at the
-feeds of ``programs.py``, both tolerances as programmed or 0.02 mm.
+The generated programs are a dome spiral of 2,000 blocks of 0.5 mm, with and without round-off
+noise, and one of 600 blocks of 0.2 mm. Their tool follows the surface normal, and both tolerances
+are 0.01 mm. If a folder ``shared`` lies beside the repository, the first N blocks (5,000) of
+public programs are added, with the machines and feeds of ``programs.py``, and tolerances as
+programmed or 0.02 mm.
 
-Each runs in a process of its own: read, planned into plan files both ways, and proven. Deviations
-are bounds of curve from blocks and blocks from curve, over the tolerance at the place. Rates are
-blocks per CPU second of the one thread.
+Each program is read, planned both ways into plan files, and proven in its own process. Deviations
+are bounds in both directions (curve from blocks, blocks from curve), divided by the local
+tolerance. Rates are blocks per CPU second of one thread.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Figures that were measured, kept in ``out/benchmarks``, and where they were measured."""
+"""Measured figures, stored in ``out/benchmarks`` with the place where they were measured."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
 """
-What functions cost: blocks with S and M8 or M9 in each beside the same blocks without.
+Cost of functions: blocks that each have S and M8 or M9, against the same blocks without them.
 
     PYTHONPATH=. python benchmarks/functions.py [--blocks 10000] [--rounds 5]
 
-CPU seconds of reading, of the whole plan and of the machine's cycle that plays it, the median of
-rounds in turns, after a round that loads the kernels. The machine plays without its clock.
+Measures the CPU seconds of reading, of the whole plan, and of the machine's cycle that executes
+it. The variants alternate; the median of the rounds counts, after one round that loads the
+kernels. The machine runs without its clock.
 """
 
 from __future__ import annotations

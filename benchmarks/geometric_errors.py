@@ -2,8 +2,8 @@
 
     PYTHONPATH=. python benchmarks/geometric_errors.py 1000
 
-makes a thousand random machines (``true_machines.py``), plans a short program on each with its
-errors and without, and prints one line.
+makes a thousand random machines (``true_machines.py``), plans a short program on each machine with
+and without its errors, and prints one line.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How computing time grows with the length of the program: blocks -> setpoints, and copp-py's."""
+"""How planning time (blocks -> setpoints) grows with program length, for us and for copp-py."""
 
 from __future__ import annotations
 

@@ -1,17 +1,17 @@
 """
-Programs over LinuxCNC's HAL: what its pins had against the setpoints that were executed.
+Programs over LinuxCNC's HAL: values of the pins against the executed setpoints.
 
     python benchmarks/hal.py PROGRAM [PROGRAM ...] [--depth N] [--fifo PRIORITY] [--file NAME]
     PYTHONPATH=.:test/ros:test/unit python benchmarks/hal.py --stops [--depth N] [--fifo PRIORITY]
 
-A second sampler in HAL, read apart from the nodes, is the witness. For each program: setpoints;
-those that the pins had otherwise, or not in their order; periods of HAL without a setpoint
-(underruns) between the first and the last movement; periods in which HAL showed a setpoint longer
-than planned, rests left out; largest following error.
+A second sampler in HAL, read independently of the nodes, is the witness. Printed for each program:
+setpoints; setpoints whose values or order differed at the pins; HAL periods without a setpoint
+(underruns) between the first and the last movement; HAL periods in which a setpoint stayed longer
+than planned, except at rest; the largest following error.
 
-``--stops``: how long after an emergency stop, a fault, a reset or the loss of a node each output
-is off at HAL's pins, when the axes stand, and whether an axis became faster after it. The test
-``test/ros/test_hal_stops.py`` reads the same periods.
+``--stops`` measures how long after an emergency stop, a fault, a reset or the loss of a node each
+output is off at HAL's pins, when the axes are at rest, and whether an axis became faster after the
+cause. The test ``test/ros/test_hal_stops.py`` reads the same periods.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """
 A session of LinuxCNC's HAL for benchmarks and tests: the bundled axes, and a witness.
 
-The witness is a second sampler. It takes all positions, commanded and actual, in every period,
-and is read here, apart from the nodes. HAL refuses root, so root starts it as user ``nobody``.
+The witness is a second sampler. It records all commanded and actual positions in every period, and
+is read here, independently of the nodes. HAL refuses to run as root, so root starts it as user
+``nobody``.
 """
 
 from __future__ import annotations

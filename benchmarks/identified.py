@@ -1,10 +1,11 @@
 """
-Identify the drives of the tired machine from a bag, and compare them with the truth.
+Identify the drives of the machine ``xyzac_tired`` from a bag, and compare with the true values.
 
     PYTHONPATH=. python benchmarks/identified.py
 
-The excitation runs over ROS on ``xyzac_tired``, whose encoders have a resolution; ``--noise`` adds
-normal noise of so many resolutions to the feedback of the bag.
+The excitation runs over ROS on ``xyzac_tired``, whose encoders have a finite resolution.
+``--noise`` adds normally distributed noise to the feedback in the bag, in multiples of this
+resolution.
 """
 
 from __future__ import annotations

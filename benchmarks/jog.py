@@ -1,10 +1,9 @@
 """
-Motion by hand for minutes, with real processes: random keys, lost beats, moves, holds, stops.
+Minutes of motion by hand with real processes: random keys, lost beats, moves, holds, stops.
 
 ``PYTHONPATH=.:test/ros:test/unit python benchmarks/jog.py --minutes 10 --reactions 20``. All
-setpoints that the machine executed are proven: limits and travel by differences, from rest to
-rest. A reaction counts from the command to the first setpoint that differs from the motion before
-it.
+executed setpoints are proven: limits and travel by differences, from rest to rest. A reaction time
+is measured from the command to the first setpoint that differs from the previous motion.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """
-Errors at the tool in runs that learn from the run before; prints rows of docs/measured/drives.md.
+Errors at the tool in runs that learn from the previous run; rows of docs/measured/drives.md.
 
     PYTHONPATH=.:benchmarks python benchmarks/learnt.py
     PYTHONPATH=.:benchmarks python benchmarks/learnt.py --cutoff 25 0.75 --runs 7 --only s_path
 
-Programs are planned on ``xyzac_tired`` and executed by its simulated drives, compensated by models
-that are 20 % wrong. The largest error is compared with that of the first run, and with that of the
-drives as they are, not compensated. Of the impeller the first 400 lines are taken. ``--cutoff``
-tries another low pass: largest cutoff [Hz] and its share of the frequency of the mode.
+Programs are planned on ``xyzac_tired`` and executed by its simulated drives, with compensation by
+models that are 20 % wrong. The largest error is compared with that of the first run, and with that
+of the uncompensated drives. The impeller is cut after 400 lines. ``--cutoff`` tries another low
+pass: its largest cutoff frequency [Hz], and the cutoff as a share of the mode frequency.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """
-What becomes of the LinuxCNC configurations in a folder: read, made, loaded, or refused.
+What happens to the LinuxCNC configurations in a folder: read, made, loaded, or rejected.
 
     python benchmarks/linuxcnc_configs.py FOLDER [--load] [--lines]
 
 Counts all INI files that differ in more than white space. *Read*: ``import-ini`` makes a machine
-file. *Made*: ``hal`` makes a HAL file. *Loaded*: LinuxCNC's HAL takes all of it. Hardware and
-programs are replaced for that: lines that load them are left out, and a stand-in has their pins.
-``--lines`` shows a line for each file.
+file. *Made*: ``hal`` makes a HAL file. *Loaded*: LinuxCNC's HAL accepts the whole file. To load a
+file without its hardware and programs, the lines that load them are left out, and a stand-in
+provides their pins. ``--lines`` shows a line for each file.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """
-Random programs in the words of LinuxCNC, read by its own interpreter and by ours.
+Random programs with LinuxCNC's words, read by LinuxCNC's interpreter and by ours.
 
     RS274=... python benchmarks/linuxcnc_words.py [--count 5000] [--first 0] [--show SEED]
     RS274=... python benchmarks/linuxcnc_words.py --expressions [--count 10000]
 
-A seed writes lines, arcs and helices in three planes, G90 G91, G20 G21, G93, canned cycles, G92,
-G10 L2 and L20, work offsets, tool lengths, G53 G28 G30, variables, expressions, loops and
-subprograms. Ends, arcs, feeds and durations are compared as ``check --program`` does. It prints
-what differs with its seed, and a table at the end. With ``--expressions`` each seed is one random
-expression.
+Each seed generates lines, arcs and helices in three planes, G90 G91, G20 G21, G93, canned cycles,
+G92, G10 L2 and L20, work offsets, tool lengths, G53 G28 G30, variables, expressions, loops and
+subprograms. Ends, arcs, feeds and durations are compared as by ``check --program``. The script
+prints each difference with its seed, and a table at the end. With ``--expressions`` each seed
+generates one random expression.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@ Programs over ROS, many times: underruns, memory, and the proof of what was exec
 
     python benchmarks/live.py [--runs 10] [--period MS] PROGRAM[:MACHINE] ...
 
-Every run is a `cnc-interp run --record` with the nodes as real processes; then `check` proves its
-bag. "Memory" is the largest resident memory that any node had, "least ready" the motion that the
-machine held at the worst moment, "late" the largest lateness of its clock in any run.
+Every run is a `cnc-interp run --record` with the nodes as real processes; then `check` proves the
+bag. "Memory" is the largest resident memory of any node, "least ready" the smallest buffered
+motion, and "late" the largest lateness of the machine's clock in any run.
 """
 
 from __future__ import annotations

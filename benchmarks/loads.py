@@ -1,11 +1,12 @@
 """
-Largest torques of the drives: rows of their own against one acceleration that always holds.
+Torque limits of the drives: rows of the planner against one constant acceleration limit.
 
     PYTHONPATH=. python benchmarks/loads.py
 
 Every axis gets a drive that just reaches its largest acceleration without friction. Coulomb
 friction takes 10 % of the torque, viscous friction 30 % at the largest velocity. The last column
-plans with the acceleration that is left at the largest velocity, 60 % of the limit, both ways.
+replaces the torque rows by the acceleration that is always available: the one left at the largest
+velocity in both directions, 60 % of the limit.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
 """
-A long run through the real nodes while another core is busy: nothing lost, memory flat.
+A long run through the real nodes while another core is busy: nothing lost, memory constant.
 
 ``PYTHONPATH=.:test/ros:test/unit python benchmarks/long_run.py --minutes 60`` runs corners and
-turns for about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length``
-and ``--feed`` say how short and how fast), ``--program`` any other; ``--priority 0`` runs the
-clock without SCHED_FIFO, ``--page-out`` leaves its pages unlocked, ``--period 0.25`` is the
-interpolation period in ms. Every executed setpoint is measured as it is told: numbers without a
-gap, velocity, acceleration and jerk by differences. Where ``cyclictest`` of rt-tests is
-installed, it runs beside at the same priority and tells what the kernel gives any thread.
+rotations for about an hour. ``--blocks 100000`` runs short blocks at a high feed instead
+(``--length`` and ``--feed`` set block length and feed), ``--program`` any other program;
+``--priority 0`` runs the clock without SCHED_FIFO, ``--page-out`` does not lock its memory, and
+``--period 0.25`` sets the interpolation period in ms. Every executed setpoint is checked as it is
+reported: numbers without a gap; velocity, acceleration and jerk by differences. If ``cyclictest``
+of rt-tests is installed, it runs beside with the same priority and shows the lateness that the
+kernel causes for any thread.
 """
 
 from __future__ import annotations

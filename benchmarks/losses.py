@@ -1,12 +1,12 @@
 """
-Each node and each pair lost in each phase of a run: how the goal ends, and what is told.
+Each node and each pair of nodes lost in each phase of a run: result of the goal, and messages.
 
 ``PYTHONPATH=.:test/ros:test/unit python benchmarks/losses.py [--phases hold jog]``
-tries the rows that have no figures yet, and writes docs/measured/losses.md; ``--busy`` tries them
-again beside two busy loops, as many as the time allows, of all phases. ``LIFE`` is the life
-of a run; ``test/ros/test_losses.py`` tries its rows, too. The operator does what he reads: he
-presses cycle_start where the machine says that it goes on, and reset where a text asks for it.
-Windows are small, so that each node still has something to send when another one is lost.
+tries the rows that have no figures yet, and writes docs/measured/losses.md. ``--busy`` tries rows
+of all phases again beside two busy loops, as many as time allows. ``LIFE`` lists the phases of a
+run; ``test/ros/test_losses.py`` tries its rows, too. The simulated operator follows the messages:
+he presses cycle_start if the machine says that this continues the run, and reset if a text asks
+for it. Windows are small, so that each node still has something to send when another one is lost.
 """
 
 from __future__ import annotations

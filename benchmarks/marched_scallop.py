@@ -1,10 +1,10 @@
 """
-Scallop points by the paper's own method, to compare with [TL2008, 3.1].
+Scallop points by the paper's own method, for comparison with ours [TL2008, 3.1].
 
-The unknowns are the three coordinates of P. From the scallop point of the previous pass the
-intersection curve of tool and iso-scallop surface is followed, step by step, until the sign of
-``V_P . n_tool`` changes (Eq. 3.8 to 3.10). From the middle of that step Newton's method solves
-Eq. 3.1 to 3.3. ``scallop.py`` finds the same points in one unknown; passes are made with it.
+The unknowns are the three coordinates of P. From the scallop point of the previous pass, the
+intersection curve of tool and iso-scallop surface is followed step by step until the sign of
+``V_P . n_tool`` changes (Eq. 3.8 to 3.10). From the middle of that step, Newton's method solves
+Eq. 3.1 to 3.3. ``scallop.py``, which makes the passes, finds the same points with one unknown.
 """
 
 from __future__ import annotations

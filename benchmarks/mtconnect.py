@@ -1,14 +1,14 @@
 """
-The MTConnect agent beside real nodes: a long stream, many requests, and wrong ones.
+The MTConnect agent beside real nodes: a long stream, many requests, and invalid ones.
 
 ``PYTHONPATH=.:test/ros:test/unit python benchmarks/mtconnect.py --minutes 30`` runs programs one
-after another while a client reads a stream of samples. Every document is validated by the schemas
-of ``--schemas``, every observation must follow the one before, and the agent's memory is looked
-at. Then clients ask as fast as they can, and one sends requests that are wrong: each must get an
-answer of 4xx or a closed connection, and the agent must go on.
+after another while a client reads a stream of samples. Every document is validated with the
+schemas of ``--schemas``, the numbers of the observations must have no gap, and the agent's memory
+is measured. Then clients send requests as fast as they can, and one client sends invalid requests:
+each of these must get an answer of 4xx or a closed connection, and the agent must continue.
 
-``--hours 8`` serves a machine by a simulated clock instead, without nodes: one state a second, as
-fast as the reader of the stream keeps up. Its observations replace those in the buffer several
+``--hours 8`` instead serves a machine with a simulated clock, without nodes: one state per
+simulated second, as fast as the client reads the stream. The observations fill the buffer several
 times.
 """
 

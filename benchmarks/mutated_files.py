@@ -1,11 +1,11 @@
 """
-Mutated STEP files, machine, setup and surface files, plans and bags: what becomes of each.
+Mutated STEP, machine, setup and surface files, plans and bags: read, rejected, or a fault.
 
     python benchmarks/mutated_files.py [--count 1000] [--first 0] [--kinds step machine ...]
 
-Each file is read in a process of its own, forked from one that has loaded all that is needed. Its
-end, its time and the most memory it held beyond that of its parent are counted. A death, a
-traceback, a refusal of more than one line, more than 10 s or 1 GB are printed with the seed that
+Each file is read in its own process, forked from one that has loaded all modules. The result, the
+time, and the largest memory beyond that of the parent are recorded. A killed process, a traceback,
+a rejection of more than one line, more than 10 s or more than 1 GB are printed with the seed that
 makes the file again.
 """
 

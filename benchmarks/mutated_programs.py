@@ -1,14 +1,14 @@
 """
-Mutated programs, planned and checked by the commands: refusals, unproven plans, faults.
+Mutated programs, planned and checked by the commands: rejections, unproven plans, faults.
 
     python benchmarks/mutated_programs.py [--count 5000] [--first 0] [--lines 25]
 
-The programs are the first lines of those of ``test/unit/test_program_fuzz.py``, changed in a few
-places by chance. A plan that ``check`` does not prove, a refusal of more than one line and a
-traceback are printed with the seed that makes the program again. One process tries them, forked
-from one that has loaded the kernels; when a program ends it, another one goes on. A program that
-takes longer than 60 s of the processor is counted and left: a mutated feed can make a motion of
-days.
+The programs are the first lines of those of ``test/unit/test_program_fuzz.py``, changed at random
+in a few places. A plan that ``check`` does not prove, a rejection of more than one line and a
+traceback are printed with the seed that makes the program again. One process, forked from one that
+has loaded the kernels, tries the programs; if a program ends this process, another one continues.
+A program that takes more than 60 s of processor time is counted and skipped, because a mutated
+feed can make a motion of days.
 """
 
 from __future__ import annotations

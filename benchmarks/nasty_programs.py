@@ -1,14 +1,14 @@
 """
-Random nasty programs: did the planner converge, is a stop at every block faster, is it proven?
+Random difficult programs: convergence of the planner, comparison with exact stops, and proof.
 
     PYTHONPATH=. python benchmarks/nasty_programs.py [--count 2000] [--first 0] [--unproven]
 
-Each program is CL data of 4 to 9 blocks on the reference machine, made from its seed: ordinary
-blocks, blocks of micrometres, turns of the tool axis over a tip that moves micrometres or not at
-all, sharp turns, reversals, tool axes near or through the pole, changes of feed, and tolerances
-of 2 um to 0.2 mm. Each is planned twice: as it is, and with an exact stop after each block.
-It prints each program that is slower than with stops, not converged, refused or not proven, and
-a summary at the end.
+Each program is CL data of 4 to 9 blocks for the reference machine, made from its seed: ordinary
+blocks, blocks of micrometres, rotations of the tool axis while the tip moves micrometres or not at
+all, sharp turns, reversals, tool axes near or through the pole, changes of feed, and tolerances of
+2 um to 0.2 mm. Each program is planned twice: as it is, and with an exact stop after each block.
+The script prints each program that is slower than with stops, not converged, rejected or not
+proven, and a summary at the end.
 """
 
 from __future__ import annotations

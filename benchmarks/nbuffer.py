@@ -1,11 +1,11 @@
 """
-How fast the N-buffer cuts, and how its time grows with needles, poses and workers.
+Speed of the N-buffer, and how its time grows with needles, poses and workers.
 
     python benchmarks/nbuffer.py            # needles x poses / s on one core
     python benchmarks/nbuffer.py --tiles    # 1e5 to 1e7 needles in tiles over 1 and 2 workers
 
-Straight passes 2 mm apart with a filleted mill over a plane. The first table has the processor
-time of one core, the second the time on the clock with its largest use of memory.
+A filleted mill cuts straight passes 2 mm apart over a plane. The first table has the processor
+time of one core, the second the wall time and the largest memory.
 """
 
 from __future__ import annotations

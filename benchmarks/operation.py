@@ -2,14 +2,14 @@
 Holds, override changes, kills and bad messages at random moments, with real processes.
 
 ``PYTHONPATH=.:test/ros:test/unit python benchmarks/operation.py --reactions 20 --holds 200
---overrides 200 --kills 50 --messages 1000 --foreign 1000``; the same at small count is in
-``test/ros``. After every run all setpoints that the machine executed are proven: limits by
-differences, path by its own evaluation, end of the program reached, blocks sent = executed. A
-reaction time counts from the command to the first setpoint that differs from the motion before it.
+--overrides 200 --kills 50 --messages 1000 --foreign 1000``; ``test/ros`` runs the same in small
+numbers. After every run all executed setpoints are proven: limits by differences, the path by its
+own evaluation, end of the program reached, blocks sent = executed. A reaction time is measured
+from the command to the first setpoint that differs from the previous motion.
 
-``--foreign``: another node says again what the nodes said: unchanged; with one value changed; and
-with the next sequence number. Checksums are right. Every run comes to its end, within the limits
-and on the path, and its result names the node with each topic on which it spoke.
+``--foreign``: another node repeats messages of the nodes: unchanged, with one value changed, and
+with the next sequence number, always with correct checksums. Every run must complete within the
+limits and on the path, and its result must name this node with each topic on which it published.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """
 The offline optimum: minimum time along a path as a nonlinear program, solved by IPOPT.
 
-Nothing of the planner's mathematics is used. The planner chooses b = s_dot^2 over the path; here
-the motion is transcribed in time: in every cell of a fine grid the jerk of s is a straight line in
-t, so with v, a at the cell's ends, its duration T and the jerks j0, j1 at its two ends
+It uses nothing of the planner's mathematics. The planner chooses b = s_dot^2 over the path; here
+the motion is transcribed in time: in every cell of a fine grid the jerk of s is a linear function
+of t. With v, a at the start of the cell, its duration T and the jerks j0, j1 at its two ends
 
     h  = v0 T + a0 T^2/2 + (j0/8 + j1/24) T^3
     v1 = v0 + a0 T + (j0/3 + j1/6) T^2
@@ -16,11 +16,11 @@ path's septics at the s of that instant, [B2013, Eq. 6-9]
 
 The limits are the machine's, without the 0.1 % that the planner keeps free.
 
-Between the instants a limit may be passed, so this first solution is too fast. It is evaluated at
-CHECKED instants of every cell; where a limit is passed, the bounds of that row in that cell come
-down by the excess, and the program is solved again from there, until no limit is passed by more
-than KEPT. The time-optimal motion lies between both: the first solution knows too few limits, the
-corrected one keeps them all but gives a little away in the cells that were corrected.
+Between these instants a limit may be exceeded, so the first solution is too fast. It is evaluated
+at CHECKED instants of every cell. Where a limit is exceeded, the bounds of that row in that cell
+are lowered by the excess, and the program is solved again from there, until no limit is exceeded
+by more than KEPT. The time-optimal motion lies between both solutions: the first one has too few
+constraints, and the corrected one is a little too slow in the corrected cells.
 """
 
 from __future__ import annotations

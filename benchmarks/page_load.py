@@ -1,12 +1,12 @@
 """
-What the operator page costs the 1 kHz stream: one program, again and again.
+Effect of the operator page on the 1 kHz stream: one program, again and again.
 
-``PYTHONPATH=.:test/ros:test/page python benchmarks/page_load.py`` runs it with no page, with an
-open page in a real browser, with ten tabs, and with a page that is started and opened while the
-machine moves; in turn, several rounds, through the same nodes. The machine's clock says how late
-its periods began, each run for itself; the browser counts how often the page in front changed.
-Lateness is the median over the rounds, the rest the worst of them. ``--only "opened in motion"
---rounds 20`` opens twenty pages while the machine moves.
+``PYTHONPATH=.:test/ros:test/page python benchmarks/page_load.py`` runs the program without a page,
+with an open page in a real browser, with ten tabs, and with a page that is started and opened
+while the machine moves. The cases alternate for several rounds with the same nodes. The machine's
+clock reports how late its periods began in each run; the browser counts how often the visible page
+changed. Lateness is the median over the rounds, all other figures are the worst of them. ``--only
+"opened in motion" --rounds 20`` opens twenty pages while the machine moves.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """
-What the corner-rounding paper [B2013] states, beside our numbers, and its corners beside ours.
+Statements of the corner-rounding paper [B2013] beside our numbers, and its corners beside ours.
 
     PYTHONPATH=. python benchmarks/paper_corners.py [--statements] [--paths]
 
-The first table has the statements of the paper for which its text gives the inputs. It prints
-neither its parts nor the limits of its machine, so parts of our own with its tolerances and feed
-stand for them, and shapes and ratios can be compared, seconds cannot. The second table compares
+The first table has those statements of the paper whose inputs its text gives. The paper prints
+neither its parts nor the limits of its machine. Our own parts with its tolerances and feed replace
+them, so only shapes and ratios can be compared, not seconds. The second table compares
 ``--corner paper`` with the default: cycle time, share of the tolerances used, stops, the proof.
 """
 

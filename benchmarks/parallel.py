@@ -4,11 +4,12 @@ A long program planned by one process and by several: processor time, wall time,
     python benchmarks/parallel.py [PROGRAM ...] [--machine M] [--workers N] [--strokes N]
 
 Without a program, a drilling program of ``--strokes`` holes with exact stops (G61) is planned.
-Told are the stretches between rests and the share of the longest, then for 1 and N processes the
-wall time, the processor time of this process and of the others, and the hash of the plan files.
+Printed are the stretches between stops and the share of the longest; then, for 1 and N processes,
+the wall time, the processor time of this process and of the others, and the hash of the plan
+files.
 
-On two processors that do nothing else, the plan takes no less than the larger of: the processor
-time of this process, and half of that of all processes.
+On two otherwise idle processors, planning takes at least the processor time of this process, and
+at least half of that of all processes.
 """
 
 from __future__ import annotations

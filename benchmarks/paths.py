@@ -1,4 +1,4 @@
-"""The paths that are compared: example programs, published ones where they are at hand, random."""
+"""The paths that are compared: example programs, published ones if available, random ones."""
 
 from __future__ import annotations
 

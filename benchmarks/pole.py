@@ -1,10 +1,10 @@
 """
-Paths of poses that pass the pole: how long they take beside it, and what the tolerance gives.
+Paths of poses past the pole: their times at a distance from it, and the effect of the tolerance.
 
     python benchmarks/pole.py [--machine xyzac]
 
 The tool tilts from -20 to +20 deg along 56 mm at F 3000 and passes the pole at a distance. The
-table compares each motion with the one straight through the pole, and checks it with the proof.
+table compares each motion with the motion straight through the pole, and checks it with the proof.
 ``dense`` is the same path in blocks of 0.5 mm, ``vertex`` has a vertex in its middle.
 """
 

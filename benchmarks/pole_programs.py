@@ -1,12 +1,12 @@
 """
-Random programs of poses near the pole: refusals, stops that nobody asked for, and the proof.
+Random programs of poses near the pole: rejections, unprogrammed stops, and the proof.
 
     python benchmarks/pole_programs.py [--count 1000] [--machines xyzac ...]
 
 Each program is CL data with 3 to 12 points. The tool axes lie on the pole, within the tolerance
 of it, or up to 25 deg away; in every third program the path between the points is divided into
-short blocks. The tip never turns back, so no stop is asked for. A program is off its words if the
-motion does not end at its last pose.
+short blocks. The tip never turns back, so no stop is necessary. A program counts as off its words
+if the motion does not end at its last pose.
 """
 
 from __future__ import annotations

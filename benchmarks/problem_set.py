@@ -1,8 +1,8 @@
 """
-Time the problem set: the independent optimum, our law, the bound; and score two laws on it.
+Times of the problem set: the independent optimum, our law, the bound; and scores of two laws.
 
     python benchmarks/problem_set.py             # writes cnc_interp/problems/times.csv
-    python benchmarks/problem_set.py --missing   # goes on where a run was ended
+    python benchmarks/problem_set.py --missing   # continues an interrupted run
     python benchmarks/problem_set.py --laws      # prints the table of docs/measured
 """
 

@@ -3,10 +3,11 @@ Every public program: read, compared with LinuxCNC's interpreter, planned and pr
 
     python benchmarks/programs.py [--only NAME ...] [--beside CHECKOUT ...]
 
-One process per program, its plan files in a temporary folder, its figures in ``out/programs``; the
-table ``programs_table.md`` of docs/measured is made of all figures that are there.
-Programs whose motion is long are proven in parts of about ten minutes. ``--beside``: `plan` of
-other states of the code and of this one in turn, one worker each; as the last columns.
+Each program runs in its own process with plan files in a temporary folder; its figures are stored
+in ``out/programs``. The table ``programs_table.md`` of docs/measured is made from all stored
+figures. Programs with a long motion are proven in parts of about ten minutes. ``--beside``
+alternately measures `plan` of other checkouts and of this one, with one worker each, for the last
+columns.
 """
 
 from __future__ import annotations

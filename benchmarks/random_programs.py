@@ -1,23 +1,24 @@
 """
-Random programs whose meaning is known: what is emitted, against what was meant.
+Random programs with known meaning: the emitted motion against the intended one.
 
     python benchmarks/random_programs.py [--count 5000] [--first 0] [--proof 2] [--show SEED]
         [--periods 0.25 1 4] [--json FILE]
     python benchmarks/random_programs.py --count 50 --laws
 
-A seed chooses machine, period, tolerances, place, units and the blocks: lines, rapids, arcs and
-helices in three planes, B-splines, tool-tip control on and off,
-tilted planes (G68.2, G53.1), cutter compensation (G41.1), G61, G9, G64, G91, G93, dwells, tiny
-moves and repeats of positions. Whoever writes a block here knows where it leads; no reader of
-cnc_interp is asked. Checked by differences of the setpoints alone: limits of each axis, end and
-stops, every pose beside the programmed curves, every curve run through, in order. Every
-``--proof``-th program is also written as plan files and proven by ``check``, and its text compared
-with its rows by both readers of ``check --program``. Planner and checks share the machine's
-forward kinematics and nothing else. With ``--periods`` each program is planned at each of them.
-It prints what is doubtful with its seed, and a table at the end: how many plans were proven, how
-many ``check`` rejected though nothing else is doubtful, and how many exceed a limit. Shards of
-seeds run side by side: ``--first 0 --count 500`` and ``--first 500 --count 500``.
-``--laws``: the motion laws at three periods instead, evaluated every 10 us; it prints the largest
+A seed chooses machine, period, tolerances, position, units and the blocks: lines, rapids, arcs and
+helices in three planes, B-splines, tool-tip control on and off, tilted planes (G68.2, G53.1),
+cutter compensation (G41.1), G61, G9, G64, G91, G93, dwells, tiny moves and repeated positions. The
+code that writes a block also computes where it leads, without any reader of cnc_interp. Checked by
+differences of the setpoints alone: limits of each axis, end and stops, that every pose is near the
+programmed curves, and that every curve is followed, in order. Every ``--proof``-th program is also
+written as plan files and proven by ``check``, and both readers of ``check --program`` compare its
+text with its rows. Planner and checks share only the machine's forward kinematics. With
+``--periods`` each program is planned at each of these periods.
+
+The script prints every doubtful result with its seed. A table at the end says how many plans were
+proven, how many ``check`` rejected although nothing else is doubtful, and how many exceed a limit.
+Ranges of seeds can run side by side: ``--first 0 --count 500`` and ``--first 500 --count 500``.
+``--laws`` instead evaluates the motion laws at three periods every 10 us, and prints the largest
 use of each limit on each machine.
 """
 

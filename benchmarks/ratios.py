@@ -1,9 +1,9 @@
 """
-Cycle times with L2/L1 fixed and chosen for each corner, as the table of corner_rounding.md.
+Cycle times with L2/L1 fixed and chosen for each corner, for corner_rounding.md.
 
     PYTHONPATH=. python benchmarks/ratios.py [--search]
 
-``--search`` also tries other ratios at one corner after another, on programs of a few corners.
+``--search`` also tries other ratios at one corner after another, in programs of a few corners.
 """
 
 from __future__ import annotations

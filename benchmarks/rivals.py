@@ -1,4 +1,4 @@
-"""What else could drive the same path: a stop at every corner, toppra slowed, copp-py's TOPP3."""
+"""Other planners for the same path: a stop at every corner, toppra slowed, copp-py's TOPP3."""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
 """
-Random programs with rotary words: refusals, words, and the distance of the axes from their lines.
+Random programs with rotary words: rejections, end positions, and deviation from the lines.
 
     python benchmarks/rotary_words.py [--count 1000] [--tcp] [--machines xyzac ...]
 
 Without ``--tcp`` the words are axis positions (tool-tip control off), on every bundled machine
 with rotary axes. With ``--tcp`` the words belong to tool tips, with small tilts, so that many
-blocks pass near the pole. Every plan is checked with the proof. The words are read here once more,
-by a reader of a few lines, and compared with the executed axes. Where ``RS274`` names LinuxCNC's
-interpreter (``RS274=$(tools/get_rs274 FOLDER)``), its axis ends of every block are compared with
-ours, too (TCP off, machines without extra axes).
+blocks pass near the pole. Every plan is checked with the proof. A separate reader of a few lines
+reads the words again and compares them with the executed axes. If ``RS274`` names LinuxCNC's
+interpreter (``RS274=$(tools/get_rs274 FOLDER)``), its axis positions at the end of every block are
+compared with ours, too (TCP off, machines without extra axes).
 """
 
 from __future__ import annotations

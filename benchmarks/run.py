@@ -1,12 +1,12 @@
 """
 Measure, then write RESULTS.md and the table of docs/measured.
 
-    python benchmarks/run.py                    # everything, about half an hour of one core
+    python benchmarks/run.py                    # everything, about half an hour on one core
     python benchmarks/run.py --only speed       # one section; the others keep their figures
-    python benchmarks/run.py --only optimum --missing # go on where a run was ended
-    python benchmarks/run.py --only             # nothing, the tables alone
+    python benchmarks/run.py --only optimum --missing # continue an interrupted run
+    python benchmarks/run.py --only             # measure nothing, write only the tables
 
-Figures are kept in ``out/benchmarks`` with the commit they are of. Times are CPU seconds.
+Figures are stored in ``out/benchmarks`` with their commit. Times are CPU seconds.
 """
 
 from __future__ import annotations

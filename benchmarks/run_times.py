@@ -1,14 +1,14 @@
 """Measured against predicted run times of a real machine: `../shared/suites/nist-box`.
 
-Each of the programs OP1 to OP3 is predicted by a machine file fitted to the other two. Then OP5 is
-predicted from all of them, section by section.
+Each of the programs OP1 to OP3 is predicted by a machine file fitted to the other two. Then each
+section of OP5 is predicted by a file fitted to all three.
 
     python benchmarks/run_times.py --suite ../shared/suites/nist-box --op5 FILE
 
-Start and stop of the spindle grow with the square of its speed, which is 12,000 rev/min in
-all that was measured. A section ends where its next tool change, or M30, begins: so the last one
-has no stop of the spindle. Where the machine stands first is not known, so the first rapid counts
-neither in the measured time nor in the predicted one.
+The times to start and stop the spindle grow with the square of its speed, which is 12,000 rev/min
+in all measurements. A section ends where the next tool change, or M30, begins, so the last section
+does not include a stop of the spindle. The first position of the machine is not known, so the
+first rapid counts neither in the measured time nor in the predicted one.
 
 The last table compares mean feeds in windows of some seconds without functions, sorted by the kind
 of motion that takes most of their time.

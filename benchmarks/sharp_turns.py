@@ -3,8 +3,8 @@ Rounded corners against exact stops where the path almost reverses.
 
     PYTHONPATH=. python benchmarks/sharp_turns.py
 
-prints the table of corner_rounding.md: cycle time rounded / with a stop, for random pairs of
-lines, the tool axis at rest or turning.
+prints the table of corner_rounding.md: cycle time with rounding relative to an exact stop, for
+random pairs of lines, with a constant and with a turning tool axis.
 """
 
 from __future__ import annotations

@@ -4,11 +4,12 @@ Random Sinumerik programs, read by the package nc-gcode-interpreter and by us.
     OTHER/python benchmarks/sinumerik_words.py --write FOLDER [--count 1000] [--first 0]
     python benchmarks/sinumerik_words.py --compare FOLDER
 
-OTHER is a Python that has the package, which needs not have ours. A seed writes lines, rapids,
-arcs, TRANS, ATRANS, variables, arrays, expressions, FOR, WHILE, IF and ELSE, as far as its version
-0.1.9 reads them: in it products and sums are computed from left to right, so parentheses stand
-around each; R parameters, functions, jumps, G91, ``=IC()`` and .5 without a zero are left out.
-Each of its places must be reached in order, and without arcs no other one. It prints what differs.
+OTHER is a Python environment with that package; it need not have ours. Each seed generates lines,
+rapids, arcs, TRANS, ATRANS, variables, arrays, expressions, FOR, WHILE, IF and ELSE, as far as
+version 0.1.9 of the package reads them. The package computes products and sums from left to right,
+so each has parentheses. R parameters, functions, jumps, G91, ``=IC()`` and .5 without a zero are
+left out. We must reach each position of the package in order, and without arcs no other position.
+The script prints all differences.
 """
 
 from __future__ import annotations

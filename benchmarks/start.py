@@ -1,8 +1,8 @@
 """
 How long a run takes until the machine moves, and how long nodes take to find each other.
 
-``python benchmarks/start.py [--runs 10]`` prints both. The second one starts a node, and four
-others a while later, as a run does: its own end of ROS is there before the nodes.
+``python benchmarks/start.py [--runs 10]`` prints both times. For the second one, a node is started
+first and four others a while later, as in a run, where the client's node exists before the others.
 """
 
 from __future__ import annotations

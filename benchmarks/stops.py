@@ -3,10 +3,10 @@ Stops along the path: how many moments of a law have one, how long they are, wha
 
     PYTHONPATH=. python benchmarks/stops.py [PROGRAM ...]
 
-Every 20 ms of the first 32 s of each law a stop is asked for. From a moment without one the motion
-goes on as planned to the next. "Longer" is the time to rest less ruckig's stop from the same speed
-and acceleration on a straight line along the tangent. "Cost" is the cycle time against that of a
-law that keeps no reserve for braking.
+In the first 32 s of each law, a stop is requested every 20 ms. At a moment without a stop, the
+motion continues as planned to the next moment that has one. "Longer" is the time to rest minus
+ruckig's time for a stop from the same speed and acceleration on a straight line along the tangent.
+"Cost" compares the cycle time with that of a law without reserve for braking.
 """
 
 from __future__ import annotations

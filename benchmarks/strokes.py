@@ -1,4 +1,4 @@
-"""Strokes of one axis, and the time that they take at least: ruckig's closed form."""
+"""Strokes of one axis, and their minimum time by ruckig's closed form."""
 
 from __future__ import annotations
 

@@ -1,12 +1,13 @@
 """
-Other people's programs as judges of the reader: LinuxCNC's interpreter tests, Sinumerik's, cases.
+Test suites of others for the reader: LinuxCNC's interpreter tests, Sinumerik's, and our cases.
 
 ``PYTHONPATH=. python benchmarks/suites.py ../shared/suites`` reads every program of both suites,
-and those of the corpus with ``../shared/cases``. It prints a table: motions as expected, refused
-as expected, refused although it runs, accepted although it is refused, or other motions. The
-motions of the corpus are compared with the second readers, where one knows all words. The last
-table counts programs with follow-up errors: refusals that are gone once the first refused line
-is left out. ``--all`` prints every case; ``--only cases/corners cases/rotary`` counts parts alone.
+and with ``../shared/cases`` those of the corpus. It prints a table: motions as expected, rejected
+as expected, rejected although valid, accepted although invalid, or other motions. The motions of
+the corpus are compared with the second readers, if one of them knows all words. The last table
+counts programs with follow-up errors: rejections that disappear when the first rejected line is
+left out. ``--all`` prints every case; ``--only cases/corners cases/rotary`` counts only these
+parts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""RESULTS.md and the table of docs/measured, from the figures that were measured."""
+"""RESULTS.md and the table of docs/measured, made from the stored figures."""
 
 from __future__ import annotations
 

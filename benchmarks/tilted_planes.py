@@ -1,7 +1,7 @@
 """
-Planes all round on every bundled 5-axis machine: are they reached, and how exactly.
+Planes in all directions on every bundled 5-axis machine: are they reached, how exactly?
 
-``PYTHONPATH=. python benchmarks/tilted_planes.py`` prints the table of
+``PYTHONPATH=. python benchmarks/tilted_planes.py`` prints the figures of
 ``docs/how_it_works/tilted_planes.md``.
 """
 

@@ -1,11 +1,12 @@
 """
-Cycle times at a held error at the tool: planned by error, and by a lower feed override.
+Cycle times for a given error at the tool: planned by error, and by a lower feed override.
 
     PYTHONPATH=. python benchmarks/tool_error.py
 
 Programs are planned on ``xyzac_tired``: by their feed alone, with a limit on the error at the
 tool, and with the largest override of feeds and rapids that keeps the same error. Errors are those
-of the simulated drives, as they are or after the inverse of a model wrong by 20 % up and down.
+of the simulated drives, without compensation or compensated by a model whose values are
+alternately 20 % too large and too small.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """
-Programs over a trajectory controller: what it commanded against the setpoints that were executed.
+Programs over a trajectory controller: its commands against the executed setpoints.
 
     PYTHONPATH=.:test/ros:test/unit python benchmarks/trajectory.py PROGRAM [--delay S]
 
-The controller is the stand-in of the tests, a process with its own clock and period. For each
-program: its commands; the largest distance of one from the executed setpoints, as cubics between
-them; the share of the commands that lay between points of a message; messages refused; the largest
+The controller is the stand-in of the tests, a process with its own clock and period. Printed for
+each program: number of commands; their largest distance from the executed setpoints, interpolated
+by cubics; the share of commands between points of a message; rejected messages; the largest
 following error.
 """
 

@@ -1,9 +1,9 @@
-"""Random machines with geometric errors: where they truly are, and what a survey of them says.
+"""Random machines with geometric errors: their true positions, and what a measurement gives.
 
-A true machine is a chain of frames from the workpiece over the bed to the tool. Every carriage
-has errors about a place of its own, with finite rotations. Its machine file has what instruments
-measure: the tip over the workpiece while one axis moves alone. Nothing here is shared with the
-map of ``error_map.py``.
+A true machine is a chain of frames from the workpiece over the bed to the tool. Every carriage has
+errors about its own point, with finite rotations. Its machine file has what instruments measure:
+the position of the tip over the workpiece while one axis moves alone. This script shares nothing
+with the map of ``error_map.py``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whole programs, planned and written: what tests and benchmarks look at."""
+"""Whole programs, planned and written to plan files, for tests and benchmarks."""
 
 from __future__ import annotations
 

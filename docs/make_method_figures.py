@@ -1,4 +1,4 @@
-"""Draw the figures of the methods in ``docs/how_it_works``, and count the worked example.
+"""Draw the figures of ``docs/how_it_works``, and compute the tables of the worked example.
 
     python docs/make_method_figures.py
 

@@ -103,7 +103,7 @@ def solve(grid, jets, limits, feed, passes=30, settled=1e-4):
         m = m + step
         width = exact_widths(h, m, width)
     b, a, _, _ = states(m, width)
-    slower = max(1, np.cbrt(g[: -len(m)].max()))  # what the last linear program left over a limit
+    slower = max(1, np.cbrt(g[: -len(m)].max()))  # the last law may still exceed a limit slightly
     return Law(grid, np.sqrt(b) / slower, a / slower**2, times * slower), history
 
 

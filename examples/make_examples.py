@@ -36,7 +36,7 @@ def pyramid() -> list[tuple[Vector, Vector]]:
 def s_path() -> list[tuple[Vector, Vector]]:
     """Tip [mm] and tool axis along an S-shaped wall that is milled by the flank.
 
-    It is of the kind of the S-shaped test part of ISO 10791-7: the wall bends to both sides and
+    It resembles the S-shaped test part of ISO 10791-7: the wall bends to both sides and
     its tilt changes sign on the way, so that all five axes turn back. For t from 0 to 1,
 
         tip = (140 t - 70, 35 sin(2 pi t), 4 sin(2 pi t)),

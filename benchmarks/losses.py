@@ -46,9 +46,11 @@ FROZEN = 4.0  #: How long a node is frozen [s]; longer than ``peer_timeout``.
 APART = 0.3  #: Time between the losses of two nodes [s].
 LONGEST = 60.0  #: A goal without a result never ends [s].
 INTRODUCTION = (
-    'Nodes and pairs killed, frozen for 4 s or restarted (`benchmarks/losses.py`). Each goal '
-    'ended, the next program ran, all setpoints kept path and limits. "Ended": the '
-    'machine or program node was lost, which the run reported. Times: the longest.'
+    'This table shows what happens to a run if nodes are lost. `benchmarks/losses.py` kills, '
+    'restarts, or freezes for 4 s, each node and each pair of nodes in each phase. In every row '
+    'the goal got its result, the next program ran, and all setpoints stayed on the path and '
+    'within the limits.\nA run ends if the machine node or the program node is lost. Each cell '
+    'has the number of rows and the longest time.'
 )
 BUSY = 'losses_busy'  #: The figures beside busy loops.
 WHY = ('cycle start', 'restarted', 'lost', 'reset')  #: A text with one says what to press.
@@ -225,7 +227,7 @@ def table() -> Iterator[str]:
     faults = [f'{row.name}: {fault}' for row, f in rows if (fault := fault_of(row, f))]
     yield from ('# Losses', '', INTRODUCTION, '')
     yield from (
-        '| phase | rows | to the end alone | by cycle_start | ended |',
+        '| phase | rows | continued by itself | continued by cycle_start | ended |',
         '|---|---|---|---|---|',
     )
     for phase in PHASES:

@@ -224,7 +224,11 @@ KINDS = {
 def print_stops(depth: int, priority: int) -> None:
     """Print a row for each kind of stop, in periods of 1 ms."""
     shown = 'spindle_forward', 'spindle_speed', 'coolant_flood', 'coolant_mist', 'tool_change'
-    print('| stop | power | ' + ' | '.join(shown) + ' | axes at rest | speed at the cause, after it |')
+    print(
+        '| stop | power | '
+        + ' | '.join(shown)
+        + ' | axes at rest | speed at the cause, after it |'
+    )
     print('|---' * (len(shown) + 4) + '|')
     with stops_session(priority) as hal, stops_bench(depth) as bench:
         for kind, seconds in KINDS.items():

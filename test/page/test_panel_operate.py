@@ -57,7 +57,6 @@ def choose(panel, tab, line, which, told):
     panel.press_key(tab, 'start here', lambda: told in tab.text('start'))
 
 
-@pytest.mark.thorough
 def test_the_task_list(panel, part):
     tab = panel.open_in_charge()
     panel.load(tab, part)

@@ -133,7 +133,7 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
         _time_section(rows),
         html.section(
             'Plans',
-            'Press a heading to sort. Each use is the largest one proven of any axis.'
+            'Press a heading to sort. Each use is the largest proven for any axis.'
             + (
                 f' Only {MOST_ROWS:,} rows are shown; table.csv has all.'
                 if len(rows) > MOST_ROWS
@@ -194,7 +194,7 @@ def _table(rows: list[dict[str, Any]], shown: list[tuple[str, str, str]]) -> str
     heads = ''.join(f'<th data-sort>{escape(heading)}</th>' for heading, _, _ in shown)
     lines = []
     for row in rows:
-        # Without figures, the reason has their place.
+        # Without figures, the reason takes their columns.
         some = shown if row['cycle_time_s'] is not None else shown[:3]
         cells = ''.join(_cell(row, column, form, len(shown) - 2) for _, column, form in some)
         colour = '' if row['verdict'] == Verdict.PROVEN else ' class="red"'

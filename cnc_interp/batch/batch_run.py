@@ -88,7 +88,7 @@ def run_batch(
         if known is not None and known.row.verdict not in UNCERTAIN:
             found[number] = known
     known_before = len(found)
-    # The longest first: at the end no worker waits for a giant.
+    # The longest first, so that at the end no worker waits for a long program.
     open_jobs = sorted(keys.keys() - found.keys(), key=lambda n: (-listed[n].size, n))
     size = sum(listed[number].size for number in open_jobs)
     done = 0

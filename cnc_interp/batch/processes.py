@@ -111,7 +111,7 @@ class Processes:
                     except (EOFError, ConnectionError):  # the fork server was killed meanwhile
                         if call.kills >= MOST_KILLS:
                             raise InterpError(
-                                'every new process is killed; find the cause and stop it'
+                                'something kills every new process; find and stop it'
                             ) from None
                         killed.append(replace(call, kills=call.kills + 1))
                 if not running:
@@ -160,7 +160,7 @@ def _end_of(connection: Connection, running: _Running[A]) -> EndedCall[R]:
     if late:
         process.kill()
     else:
-        with contextlib.suppress(EOFError, OSError):  # it died before it said all
+        with contextlib.suppress(EOFError, OSError):  # it died before its message was complete
             sent.append(connection.recv())
     process.join()
     connection.close()
@@ -177,7 +177,7 @@ def _end_of(connection: Connection, running: _Running[A]) -> EndedCall[R]:
 
 def _live(function: Callable[[A], R], argument: A, result: Connection, memory: float) -> None:
     begin_child(PROCESS_NAME)
-    # A long program is planned by processes of its own; multiprocessing rejects them to a daemon.
+    # A long program is planned by further processes, which multiprocessing forbids to a daemon.
     multiprocessing.current_process()._config['daemon'] = False  # type: ignore[attr-defined]
     os.nice(19)
     resource.setrlimit(resource.RLIMIT_DATA, (int(memory), int(memory)))

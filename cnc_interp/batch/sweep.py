@@ -27,7 +27,7 @@ from cnc_interp.report import html
 from cnc_interp.report.series import AT_LIMIT, at_limits, axis_use
 from cnc_interp.run.plan_figures import collision_text
 
-#: Points of a generation of the search, for each option; decimals of their values.
+#: Points of a generation of the search, for each option; decimals of option values.
 GENERATION, DIGITS = 5, 4
 SAME = 1e-9  #: Lengths that differ less are the same [m].
 #: Motions of a simulated surface in its summary; the first available one is used.
@@ -149,7 +149,7 @@ class Sweep:
         self.run([(), *(tuple(zip(names, values, strict=True)) for values in all_values)])
 
     def search(self, ranges: Sequence[Range], most: int) -> None:
-        """Run the command unchanged, then search the fastest with a limited number of points."""
+        """Run the command unchanged, then search for the fastest motion with few points."""
         names = [one.option for one in ranges]
         bounds = [(float(one.values[0]), float(one.values[-1])) for one in ranges]
         self.run([()])
@@ -225,7 +225,7 @@ def _checked(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def without_effect(found: dict[Point, Found], option: str) -> bool:
-    """Return whether an option has no effect on the motion, whatever the others are."""
+    """Return whether an option has no effect on the motion, whatever the other options are."""
     groups: dict[Any, set[Any]] = {}
     for point, one in found.items():
         if point.values and one.cycle_time is not None:
@@ -243,7 +243,7 @@ def front(found: dict[Point, Found]) -> list[Point]:
         if one.cycle_time is not None
     ]
     for figures, point in sorted(known, key=lambda row: row[0]):
-        # Those before are as fast or faster.
+        # The points before this one are as fast or faster.
         limits = figures[1] + SAME, figures[2] + SAME
         if not any(other[1] <= limits[0] and other[2] <= limits[1] for other in best.values()):
             best[point] = figures

@@ -22,11 +22,11 @@ from cnc_interp.settings.options import Settings, texts_of
 class Verdict(StrEnum):
     PROVEN = 'proven'
     NOT_PROVEN = 'not proven'
-    REFUSED = 'refused'  # it cannot be read, or cannot run on the machine
+    REFUSED = 'refused'  # the program cannot be read, or cannot run on the machine
     CRASHED = 'crashed'  # a fault of ours, or of a library
     TOO_LARGE = 'too large'  # needs more memory than a worker may have
     TOO_LONG = 'too long'  # needs more time than a program may have
-    KILLED = 'killed'  # by somebody else, again and again
+    KILLED = 'killed'  # killed repeatedly from outside
 
 
 @dataclass(frozen=True)

@@ -43,12 +43,14 @@ def carry_out(task: Task, processes: int = 1) -> TaskOutcome:
     try:
         row = _planned(task, processes)
     except LostProcessError:
-        os.kill(os.getpid(), signal.SIGKILL)  # as if this one had been killed: begun again
+        os.kill(os.getpid(), signal.SIGKILL)  # so that this task is restarted, as after a kill
         raise
     except InterpError as problem:
         row = Row(Verdict.REFUSED, str(problem))
     except MemoryError:
-        row = Row(Verdict.TOO_LARGE, 'a worker has not enough memory for it; see --memory')
+        row = Row(
+            Verdict.TOO_LARGE, 'a worker has too little memory for this program; see --memory'
+        )
     except Exception as problem:
         at = traceback.extract_tb(problem.__traceback__)[-1]
         place = f'{Path(at.filename).name}:{at.lineno}'
@@ -70,7 +72,7 @@ def _planned(task: Task, processes: int) -> Row:
     settings = with_texts(Settings(), task.settings)
     setup = JobSetup.of_text(task.setup) if task.setup else None
     with tempfile.TemporaryDirectory(prefix='cnc_batch_') as folder, chdir(folder):
-        program = Path(task.program)  # as messages shall name it
+        program = Path(task.program)  # the name that messages use
         program.parent.mkdir(parents=True, exist_ok=True)
         for name, text in task.files:
             program.with_name(name).write_bytes(text)

@@ -118,7 +118,7 @@ class GuidingPlanes:
                 lines.append(line)
                 lengths.append(self._length(line))
         demand(lines, f'the guiding plane at {plane / MM:.3f} mm misses the surface')
-        # Only what the strips of passes can reach counts, if there is any.
+        # Only planes that the strips of passes can reach count, if there are any.
         reachable = 0.5 * self.extension
         near = [self._length(x[surface.contains(x[:, 0], x[:, 1], reachable)]) for x in lines]
         lengths = near if any(near) else lengths

@@ -109,7 +109,7 @@ class Figures:
     @property
     def mean(self) -> float:
         demand(
-            self.cut, InterpError('the program cuts nothing of the surface; is it the right one?')
+            self.cut, InterpError('the program does not cut this surface; give one made for it')
         )
         return float(Fraction(self.total, self.cut << HEIGHT_BITS))
 

@@ -49,7 +49,7 @@ CLOSER = 0.985  #: Distance of a restarted pass, as a share of its half width [-
 #: Default distance of the points along a pass [m]; there are at least 25.
 SPACING = 0.8 * MM
 MOST_PASSES = 5000
-#: Number of times that a plane may come closer, and the smallest distance as a share of the first.
+#: Number of times that a plane may be moved closer, and its least distance over the first one.
 CLOSER_PLANES, CLOSEST = 12, 0.7
 #: Share of the distance below which other yaws are tried, and their differences [rad].
 NEAR, TURNS = 0.75, (20.0 * DEG, -20.0 * DEG, 40.0 * DEG, -40.0 * DEG)

@@ -118,13 +118,13 @@ class TileWorkers(Protocol):
     ) -> Iterator[Any]: ...
 
 
-#: Returns who cuts tiles: by the address of a scheduler, or a number of processes here.
+#: Returns the workers that cut tiles: those of the scheduler at an address, or processes here.
 Pool = Callable[[str | None, int], TileWorkers]
 
 
 @dataclass(frozen=True)
 class TileProgress:
-    #: Tiles with heights, those of an earlier start among them, and all.
+    #: Number of tiles with heights, of those from an earlier start, and of all tiles.
     done: int
     known: int
     total: int
@@ -146,7 +146,7 @@ def cut_tiles(
     store: HeightStore,
     progress: Callable[[TileProgress], None],
 ) -> TileProgress:
-    """Cut all tiles that the store does not know; each is written as soon as it is cut."""
+    """Cut all tiles that the store does not have; each is written as soon as it is cut."""
     rows, columns = grid.shape
     places, known, done = list(patches(rows, columns, TILE, TILE)), 0, 0
     given: list[tuple[int, int, str]] = []  # place and key of each task

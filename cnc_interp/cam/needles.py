@@ -42,8 +42,8 @@ class Needles:
         refuse_if(
             len(grid.u) * len(grid.v) > MOST_AT_ONCE,
             InterpError(
-                f'needles every {spacing / MM:g} mm make {len(grid.u)} x {len(grid.v)}; cut them '
-                'in tiles: cam simulate --tiles DIR'
+                f'{len(grid.u)} x {len(grid.v)} needles, every {spacing / MM:g} mm, are too many; '
+                'cut them in tiles: cam simulate --tiles DIR'
             ),
         )
         needles = grid.needles(slice(0, grid.shape[0]), slice(0, grid.shape[1]))
@@ -131,7 +131,7 @@ class NeedleGrid:
         high, wide = rows.stop - rows.start, columns.stop - columns.start
         base, normal = np.empty((high, wide, 3)), np.empty((high, wide, 3))
         for i, j in patches(high, wide, PATCH, PATCH):
-            # A patch at the end is filled up: its last needles are made again and again.
+            # A patch at the end is filled up with copies of its last needles.
             row = np.minimum(np.arange(i, i + PATCH), high - 1) + rows.start
             column = np.minimum(np.arange(j, j + PATCH), wide - 1) + columns.start
             u, v = np.meshgrid(self.u[row], self.v[column], indexing='ij')

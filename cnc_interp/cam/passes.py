@@ -133,7 +133,7 @@ def constant_width(
         held = sine / (cutter.tool_radius + cutter.corner_radius * sine)
         wide = np.where(reach > half_width, np.maximum(wide, held), wide)
         narrow = np.where(reach < half_width, np.minimum(narrow, held), narrow)
-        # The width of a parabola first, then secants, then halves where the width jumps.
+        # First the width of a parabola, then secant steps, then bisection where the width jumps.
         step = np.maximum(held + bend, 0.1) * ((reach / half_width) ** 2 - 1.0)
         with np.errstate(invalid='ignore', divide='ignore'):
             secant = (half_width - reach) * (held - last[0]) / (reach - last[1])

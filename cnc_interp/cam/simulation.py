@@ -36,7 +36,7 @@ class Motion:
 
 
 def thinned(motion: Motion) -> Motion:
-    """Drop poses on the line between their neighbours, to a small part of a scallop height."""
+    """Drop poses that lie, within a small part of a scallop height, between their neighbours."""
     tip, axis = motion.tip, motion.axis
     for _ in range(THINNINGS):
         if len(tip) < 5:

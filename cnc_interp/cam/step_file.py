@@ -41,7 +41,7 @@ ANY = 1.0  #: Sizes of shapes before those of the face are known.
 class Part:
     #: Surfaces by the number of their face, in the order in which they are machined.
     surfaces: dict[int, Surface]
-    #: Points of all faces, also of those that are machined; none for a single face.
+    #: Points on all faces, including the machined ones; none for a single face.
     neighbours: Neighbours | None = None
 
 
@@ -176,7 +176,7 @@ class StepFace:
             shape = shapes.Torus(0.0, top, ANY, ANY) if ball else shapes.Cylinder(top, ANY, ANY)
         if self.kind in ('Geom_Plane', 'Geom_CylindricalSurface'):
             v = v[0] * MM, v[1] * MM
-        # Our round shapes turn about y, and their highest point u = v = 0 is the origin.
+        # Our round shapes have the axis y, and their highest point u = v = 0 is the origin.
         origin = _vector(position.Location()) * MM + top * x
         return Placed(shape, axes.T, origin, (u, v), self.flip)
 
@@ -274,7 +274,7 @@ INSTALL = 'reading STEP needs OpenCASCADE: pip install cadquery-ocp-novtk'
 SYSTEM_LIBRARY = 'OpenCASCADE cannot be loaded: apt-get install libgl1'
 
 
-#: Distance of the points that stand for the faces of a part [m], and their largest number.
+#: Distance of the points that represent the faces of a part [m], and their largest number.
 SPACING, MOST_POINTS = 0.25 * MM, 150_000
 
 

@@ -57,7 +57,7 @@ class Strategy:
     meaning: str
     options: tuple[StrategyOption, ...]
     passes: Passes
-    #: Facts of its passes for the summary, those as lines of text, and figures for the page.
+    #: Facts of its passes for the summary, the same facts as lines of text, and page figures.
     facts: Callable[[Any], dict[str, Any]] = lambda paths: {}
     words: Callable[[dict[str, Any]], Sequence[str]] = lambda facts: ()
     figures: Callable[[Any], list[tuple[str, str, Any]]] = lambda paths: []
@@ -70,7 +70,7 @@ class Strategy:
 
 TILT = StrategyOption(
     'tilt',
-    'tilt of a first pass with constant tilt, smallest tilt at the largest stepover (3 deg)',
+    'tilt of a first pass with constant tilt, and smallest tilt without --stepover (3 deg)',
     3.0,
     'DEG',
     DEG,
@@ -116,8 +116,7 @@ _ALL = (
         (
             StrategyOption(
                 'stepover',
-                'distance of the guiding planes; by default, for each pass, the largest that '
-                '--tilt allows',
+                'distance of the guiding planes (for each pass the largest that --tilt allows)',
                 metavar='MM',
                 unit=MM,
                 positive=True,

@@ -38,7 +38,7 @@ class PoleTurn:
     @property
     def text(self) -> str:
         said = (
-            f'passes that come near the pole: {self.passes}, to {self.distance / DEG:.2f} deg, '
+            f'passes near the pole: {self.passes}, down to {self.distance / DEG:.2f} deg from it, '
             f'where {self.axis} would have to turn {self.rate:.3g} times as fast as it can'
         )
         if not self.about:

@@ -155,7 +155,7 @@ class Surface(ABC):
         point = self.at(u, v)
         area = norm(cross(point.d_u, point.d_v))
         demand(np.isfinite(point.position).all(), 'the surface has points that are not finite')
-        # One cell beyond a trimming boundary: no part between the samples is missed.
+        # One cell beyond a trimming boundary, so that no part between the samples is missed.
         middle = point.position[SAMPLES // 2], point.position[:, SAMPLES // 2]
         cell = max(float(norm(np.diff(line, axis=0)).max()) for line in middle)
         ours = self.contains(u, v, cell) if np.isfinite(cell) else np.ones(u.shape, bool)

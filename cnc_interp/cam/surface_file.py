@@ -124,7 +124,7 @@ def _placed(file: _File, surface: Surface) -> Surface:
     if placement is None:
         return surface
     if not isinstance(placement, dict) or set(placement) - {'rotation_deg', 'shift_mm'}:
-        raise file.fault('placement has rotation_deg and shift_mm, three numbers each')
+        raise file.fault('placement must have rotation_deg and shift_mm, three numbers each')
     inner = _File(file.path, placement)
     turn = inner.numbers('rotation_deg', (3,), [0.0, 0.0, 0.0])
     shift = inner.numbers('shift_mm', (3,), [0.0, 0.0, 0.0]) * MM
@@ -140,7 +140,7 @@ SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
 def read_step_safely(path: Path, faces: Sequence[int], note: Callable[[str], None]) -> Part:
     """Read faces in a separate process, like ``step_file.read_step_part``."""
     words = [str(path), *map(str, faces)]
-    # -P: it imports this package and installed ones, and nothing from the folder of the user.
+    # -P: import only this package and installed ones, nothing from the folder of the user.
     command = [sys.executable, '-P', '-m', 'cnc_interp.cam.surface_file', *words]
     given, own = os.environ.get('PYTHONPATH', ''), str(Path(__file__).parents[2])
     places = os.pathsep.join(filter(None, [given, own]))

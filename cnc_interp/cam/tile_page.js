@@ -35,13 +35,13 @@ async function addTile(name, rows, columns, text) {
 function tileOf(level, row, column) {
   const name = `${level}/${row}_${column}`, tile = tiles.get(name);
   if (tile) {
-    tiles.delete(name); // the tiles used last stand at the end
+    tiles.delete(name); // the tiles used last are at the end
     tiles.set(name, tile);
   } else if (!loading.has(name)) {
     loading.add(name);
     const script = document.createElement('script');
     script.src = `page/${name}.js`;
-    // After an error it stays in `loading`: a missing file is asked once.
+    // After an error it stays in `loading`, so that a missing file is requested only once.
     script.onload = script.onerror = () => script.remove();
     document.head.append(script);
   }
@@ -128,7 +128,7 @@ function drawNow() {
   if (marked) drawMark(brush);
   drawLength(brush);
   forget();
-  if (pointed) tell(...pointed); // its tile may have arrived
+  if (pointed) tell(...pointed); // the tile under the pointer may have arrived
 }
 
 function drawLength(brush) {

@@ -84,8 +84,8 @@ def link(
         refuse_if(
             rise < UPRIGHT,
             SurfaceError(
-                'the tool axis leans too far to be lifted above the part; make a program of its '
-                'own for this face'
+                'the tool axis leans too far to lift the tool along it above the part; make a '
+                'separate program for this face'
             ),
         )
         return np.asarray(tip + max((safe - float(tip @ up)) / rise, options.clearance) * axis)

@@ -39,7 +39,7 @@ class AlarmList:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._told: dict[str, tuple[str, float]] = {}  # who told a message lately, and when
+        self._told: dict[str, tuple[str, float]] = {}  # recent messages: by which source, and when
         self._alarms: deque[Alarm] = deque(maxlen=KEPT)
         self._lock = Lock()  # alarms come from the thread of ROS and from those of the page
         self._last: dict[str, tuple[bytes, str]] = {}

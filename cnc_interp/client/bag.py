@@ -97,7 +97,7 @@ class BagWriter:
         self.count = 0
         self._path, self._noted = path, dict[str, str]()
         self.fault: OSError | None = None  #: Error after which nothing more is written.
-        self._stored_at = 0  # stamp [ns] up to which all is in the file
+        self._stored_at = 0  # stamp [ns] up to which all messages are in the file
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._writer.open()
@@ -351,5 +351,5 @@ def _whole_records(file: Path) -> Iterator[Any]:
         while True:
             try:
                 yield next(records)
-            except Exception:  # what is cut off may be anything
+            except Exception:  # an incomplete record may contain anything
                 return

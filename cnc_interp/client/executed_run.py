@@ -78,7 +78,7 @@ class Follower:
     def _close(self) -> None:
         """Check that the preceding plan was left at rest, after a complete stop tail."""
         if not self._lost and (not self._rests or (self._tail is not None and len(self._tail))):
-            self._fault('it was left in motion')
+            self._fault('the machine left it in motion')
 
     def close(self, cut: bool, at_rest: bool = False) -> None:
         if at_rest or not cut:
@@ -92,7 +92,7 @@ class Follower:
             by_hand = rows[:, BLOCK] == 0
             count = len(rows) if by_hand.all() else int(np.argmin(by_hand))
             if not count:
-                self._fault('after motion by hand it continued; a new plan must follow', rows[0])
+                self._fault('it continued after motion by hand, without a new plan', rows[0])
             return count
         if self._tail is not None:
             found, self._tail = self._tail, self._tail[len(rows) :]
@@ -112,7 +112,7 @@ class Follower:
                 return same
         self._tail = self._sent.tail(self.run_id, self._number, rows[0])
         if self._tail is None:
-            # A plan that came meanwhile may be void: nothing of it is executed.
+            # A plan that arrived meanwhile may be void: none of its setpoints is executed.
             self._by_hand = self._rests and self.count > 0 and rows[0, BLOCK] == 0
             if not self._by_hand:
                 self._astray(rows[0])
@@ -167,7 +167,7 @@ class ToldStates:
         self._states = sorted(states, key=lambda state: int(state.samples))
         self._next, self._threads = 0, bool(run.followed)  # the first state not compared yet
         self._obeyed = round(OBEYED / run.period)
-        # What the machine told before the run counts until it says something else.
+        # What the machine reported before the run is valid until it reports something else.
         before = None
         for message in bag.messages('machine_state'):
             if message.program_id == run.program_id:
@@ -201,7 +201,7 @@ class ToldStates:
             row = rows[state.samples - count - 1]
             place = state.sequence, state.line_number, state.path_position
             same = place == (row[BLOCK], row[LINE], row[S])
-            # In a thread the axes move, and their setpoints are counted when it has ended.
+            # In a thread the axes move, but their setpoints are counted only at its end.
             same &= self._threads or np.array_equal(
                 state.commanded_positions, self._errors.nominal(row[None, :axes])[0]
             )

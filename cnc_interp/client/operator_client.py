@@ -122,7 +122,7 @@ class OperatorClient(ServedNode):
         self._pending: list[Callable[[], bool]] = []  # each returns True once it is answered
         self._sent: list[SentProgram] = []  # programs that have no result yet
         self.waiting = ''
-        self.prepared: float | None = None  # share of what the program waits for
+        self.prepared: float | None = None  # progress of what the program waits for
         self.waits_for = ''  # what that is, in words
         self.tool_wanted: int | None = None  # the tool that the operator must put in
         #: Distance of the tool tip from the end of its line after a single block [m].
@@ -154,7 +154,7 @@ class OperatorClient(ServedNode):
             topic: node.create_publisher(Float64, topic, OVERRIDE) for topic in OVERRIDES
         }
         self._action = ActionClient(node, RunProgram, 'run_program')
-        # Made after those, and DDS reports them in order: who answers this can answer all.
+        # Made last, and DDS reports them in order: a node that answers this can answer all.
         self._doors = {
             owner: node.create_client(GetParameters, f'{owner}/get_parameters')
             for owner in (MACHINE, *OFFERED_BY.values())

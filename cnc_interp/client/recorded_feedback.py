@@ -32,7 +32,7 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
 
     Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
     """
-    # Without positions, it only switches something.
+    # A message without positions only switches outputs.
     chunks = [m for m in bag.messages('executed_setpoints') if m.positions]
     if not chunks:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')

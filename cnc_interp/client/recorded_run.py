@@ -91,7 +91,7 @@ class RecordedRun:
                 end = f'lacks executed setpoints {following} to {chunk.first_sample - 1}'
                 return order, f'the record {end}, after line {last.line_numbers[-1]}'
             following = chunk.first_sample + len(chunk.sequences)
-            if len(chunk.sequences):  # else it only switches something
+            if len(chunk.sequences):  # else it only switches outputs
                 last, ended = chunk, chunk.end_of_program
             order.append(int(k))
         end = 'in motion' if any(last.velocities[-last.axis_count :]) else 'at rest'
@@ -168,7 +168,7 @@ class RecordedRun:
         on the path, up to the place where the faster plan could have stopped.
         """
         steps: list[OverrideStep] = []
-        slowing: list[tuple[float, FloatArray]] = []  # up to which place, and what counted before
+        slowing: list[tuple[float, FloatArray]] = []  # end of slowing down, and overrides before
         own, run_id, count = np.ones(2), NO_RUN, 0
         for chunk in self.executed():
             if run_id_of(chunk) != run_id:
@@ -203,7 +203,7 @@ class RecordedRun:
         sample = np.full(len(sent), MISSING)
         for done in (f for chunk in self.chunks for f in chunk.functions):
             plain = copy.copy(done)
-            plain.sample = 0  # what was sent has none
+            plain.sample = 0  # functions as sent have none
             if done.number >= len(sent) or sent[done.number] != plain:
                 raise InterpError(f'function {done.number} differs from what was sent')
             if sample[done.number] != MISSING:

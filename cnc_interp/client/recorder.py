@@ -135,13 +135,13 @@ class Recorder:
 
     def _listen(self, topic: str, kind: Any, profile: QoSProfile) -> Any:
         write = self._writing(topic)
-        if topic in OWNERS:  # what other nodes say there is not recorded
+        if topic in OWNERS:  # messages of other nodes there are not recorded
             return Ear(self._node, Heard(kind, topic, profile), write).subscription
         return self._node.create_subscription(kind, topic, write, profile, raw=True)
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:
         def write(data: bytes) -> None:
-            if self._subscriptions:  # what was on its way when the record ended comes too late
+            if self._subscriptions:  # else the message arrived after the record ended
                 self._bag.write(topic, data, time.time_ns())
 
         def number(data: bytes) -> None:

@@ -38,7 +38,7 @@ def _live(path: Path, namespace: str, domain: int, kept: bool, run: Connection) 
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     come_first(NICENESS)
     stay_on_this_host()
-    # Imported now, when this process comes before others: bags take a second of work.
+    # Imported now, while this process has priority: importing bags takes a second.
     from cnc_interp.client.bag import TOPICS
     from cnc_interp.client.recorder import NEEDED, Recorder
     from cnc_interp.client.served_node import ServedNode
@@ -86,7 +86,7 @@ class RecorderProcess:
             target=_live,
             args=(path, namespace, domain, kept, recorder),
             name=NAME,
-            daemon=True,  # whoever forgets to end it can end all the same
+            daemon=True,  # a program that forgets to end it can still exit
         )
         self._process.start()
         recorder.close()

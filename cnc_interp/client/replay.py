@@ -143,7 +143,7 @@ class Repetition:
         for k, (one, other) in enumerate(zip(recorded, again, strict=False)):
             for name in ('continue_at', 'program_stop', 'functions', 'checksum'):
                 setattr(other, name, getattr(one, name))  # not of the smoother
-            if repr(one) != repr(other):  # NaN, which equals nothing, is in some of them
+            if repr(one) != repr(other):  # some contain NaN, which equals nothing
                 return k
         return -1 if len(recorded) == len(again) else min(len(recorded), len(again))
 

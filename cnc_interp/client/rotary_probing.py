@@ -87,7 +87,7 @@ def fit_rotary_centres(
             slope[:, k] = (gaps(moved, ball) - pretravel - gap) / STEP
         beside = [(gaps(offsets, ball + way) - pretravel - gap) / STEP for way in STEP * np.eye(3)]
         others = np.stack([*beside, np.full(len(q), -1.0)], axis=1)
-        # What ball and pretravel can do is theirs.
+        # Deviations that the ball and the pretravel can explain are left to them.
         own = slope - others @ np.linalg.lstsq(others, slope, rcond=None)[0]
         inverse = np.linalg.pinv(own, rcond=SEEN)
         change = -inverse @ gap
@@ -211,7 +211,7 @@ def _touch_all(
     transform, names = Transform.of(machine), machine.axis_names[3:5]
     tip, axis = transform.forward(np.array([state.commanded_positions]))
     if not machine.has_rotary or axis[0, 2] < 1.0 - UPRIGHT:
-        raise InterpError('stand upright above the ball, with the rotary axes at zero')
+        raise InterpError('first move the probe above the ball, with the rotary axes at zero')
     way, reach = wanted.beside, wanted.reach
     for line in (
         'G21 G90 G94 M428',

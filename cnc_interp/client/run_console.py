@@ -87,8 +87,8 @@ class RunConsole:
         self._restarted = False  # a node, and the run has not gone on since
         self._forgotten = False  # the programs, because program_node was lost
         self._stop_told = False
-        self._listened = -math.inf  # when it was last looked for what was heard [s]
-        self._warned = ''  # the run whose warnings were told last
+        self._listened = -math.inf  # when messages were last checked [s]
+        self._warned = ''  # the run whose warnings were shown last
         self._pressed: Future[Answer] | None = None  # cycle_start after a restart
         self._passed: Future[Answer] | None = None  # cycle_start after a program stop
         self._previous = {
@@ -207,7 +207,7 @@ class RunConsole:
     def _demand_to_hear(self) -> None:
         now, peers = time.monotonic(), self._client.peers
         if now - self._listened > SILENCE:
-            peers.trust(now)  # this process itself stood
+            peers.trust(now)  # this process itself was suspended
         self._listened = now
         if now - peers.heard > DEAF:
             raise InterpError(
@@ -275,7 +275,7 @@ class RunConsole:
             self._stop_told = False
             return
         answers = state.reason == MachineState.REASON_FUNCTION
-        # Nobody stands at simulated drives; at real ones no option answers for a person.
+        # Simulated drives have no operator; at real drives no option may answer for one.
         passes = self._request.pass_stops and (self._request.simulated or not answers)
         asked = not passes and at_terminal()
         if not self._stop_told:
@@ -358,7 +358,7 @@ def run_recorded(
                     records.callback(recorder.finish)
                 with RunConsole(client, children, request, recorder) as console:
                     results = console.run(machine, started)
-        except OSError as fault:  # of the record: what was executed is reported all the same
+        except OSError as fault:  # a fault of the record; the result of the run is still reported
             if not results or fault.filename != str(folder):
                 raise
             text = reason_of(fault)

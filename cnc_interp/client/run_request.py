@@ -66,7 +66,7 @@ class RunRequest:
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
         if self.settings.scene is not None and not self.drives:
-            given['start_height'] = START_HEIGHT  # not inside of what carries the part
+            given['start_height'] = START_HEIGHT  # not inside the body that carries the part
         given |= self.drives
         named = [*self.programs, *([self.settings.setup] if self.settings.setup else [])]
         given['program_folders'] = json.dumps([str(path.resolve()) for path in named])

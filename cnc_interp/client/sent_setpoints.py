@@ -57,7 +57,7 @@ class SentSetpoints:
                 )
             settings = settings_of_plan(message)
             if self.settings.setdefault(run_id, settings) != settings:
-                self.faults.append(f'{run_id} was planned with two settings of the operator')
+                self.faults.append(f'{run_id} was planned with different operator settings')
             if message.joins:
                 self.joins[run_id] = first
         self._firsts = {run_id: sorted(places) for run_id, places in self._places.items()}
@@ -66,9 +66,9 @@ class SentSetpoints:
         return self
 
     def stop_before(self, run_id: RunId, number: int, later: int) -> float:
-        """Return where a plan could have stopped by the tail ``later`` setpoints after one [m].
+        """Return where a plan could have stopped [m], by the tail ``later`` setpoints after one.
 
-        If the record does not have that chunk, the chunk of the setpoint itself is used.
+        If the record lacks the chunk with that tail, the chunk of the setpoint itself is used.
         """
         message = self.at(run_id, number + later) or self.at(run_id, number)
         if message is None:

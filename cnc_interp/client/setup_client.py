@@ -114,7 +114,7 @@ class SetupClient:
     async def undo(self, changes: tuple[OffsetChange, ...]) -> Answer:
         """Restore the values of offsets before some changes, unless they have changed since."""
         if changes != self.changes:
-            return Answer(False, 'the offsets were changed again: look at the last change')
+            return Answer(False, 'the offsets were changed again: check the last change')
         return await self.ask_each(whole_offset(one.name, one.had) for one in changes)
 
     async def ask_each(self, requests: Iterable[tuple[str, dict[str, Any]]]) -> Answer:

@@ -23,12 +23,12 @@ AT_START = np.array([0.1 * DEG, 0.1 * MM])  #: Largest distance of an axis from 
 
 
 def trajectory_of(plan: PlanFiles) -> Trajectory:
-    """Return every setpoint of a plan on the grid of the controller, and the last one at rest.
+    """Return the setpoints of a plan at the controller's spacing, and the last one, at rest.
 
     Raises InterpError for a plan that needs more than motion.
     """
     waits = plan.blocks['line'][np.asarray(plan.blocks['program_stop']) > 0]
-    more = [f'line {line} switches something' for line in plan.functions['line_number'][:1]]
+    more = [f'line {line} sets an output' for line in plan.functions['line_number'][:1]]
     more += [f'the program waits after line {line}' for line in waits[:1]]
     if more:
         raise InterpError(

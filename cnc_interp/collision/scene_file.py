@@ -113,7 +113,9 @@ class _Reading:
         path = beside if beside.is_file() else find_scene_file(value)
         content = _content(path)
         if isinstance(content, dict) and 'include' in content:
-            raise self.fault('include', f'{path} includes another scene itself; include one only')
+            raise self.fault(
+                'include', f'{path} includes a scene itself; include a scene without include'
+            )
         return _Reading(path).scene(content)
 
     def fault(self, where: str, text: str) -> SceneError:
@@ -284,7 +286,7 @@ class _Reading:
             triangles = self._placed(triangles.reshape(-1, 3), given, name).reshape(-1, 3, 3)
             if role is Role.BODY:
                 pieces, child = triangle_tree(triangles, grown)
-            else:  # its lines know the mesh; the box only tells where tools come near it
+            else:  # its lines follow the mesh; the box only shows where tools are near
                 corners = triangles.reshape(-1, 3)
                 pieces = [shapes.box(corners.min(axis=0) - grown, corners.max(axis=0) + grown)]
         else:

@@ -53,7 +53,7 @@ def add_batch_commands(commands: Any) -> None:
         option('--rate', 'cost of one hour of the machine', positive, 'COST'),
         option(
             '--memory',
-            'largest memory of a worker (that of the computer, divided among them)',
+            'largest memory of a worker (that of the computer, divided among the workers)',
             positive,
             'GB',
         ),
@@ -166,8 +166,8 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
         'sweep --vary place-x -50 0 50 --vary ratio 1.5 2 --out out/sweep -- plan part.ngc',
         option(
             '--vary',
-            'an option of the command, without its dashes, and its values; with --search the '
-            'lowest and the highest',
+            'an option of the command, without its dashes, and its values; with --search its '
+            'lowest and highest value',
             metavar=('OPTION', 'VALUE'),
             nargs='+',
             action='append',
@@ -222,7 +222,7 @@ def sweep_command(options: argparse.Namespace) -> int:
     if len(idle) == len(ranges):
         best = []
     moves = sum(one.cycle_time is not None for one in sweep.found.values())
-    print(f'points         {len(sweep.found)}, {moves} of them move')
+    print(f'points         {len(sweep.found)}, {moves} of them give a motion')
     faults = Counter(one.fault for one in sweep.found.values() if one.fault)
     for fault, times in faults.most_common(FAULTS):
         print(f'no motion      {fault}{f" ({times} points)" if times > 1 else ""}')

@@ -60,7 +60,8 @@ def add_cam_commands(commands: Any) -> None:
         number('--feed', 3000.0, 'feedrate', 'MM_PER_MIN'),
         flag('--simulate', 'cut the surface with the program (N-buffer)'),
         flag(
-            '--run', 'plan the program, execute it on the simulated machine and cut with that too'
+            '--run',
+            'plan the program, execute it on the simulated machine and also cut with that motion',
         ),
         *_cutting(),
         flag('--json', 'print the summary as JSON'),
@@ -142,7 +143,7 @@ def _cutting() -> tuple[Adds, ...]:
         *(
             option(
                 f'--turn-{name.lower()}',
-                f'turn of the surface about {name} as it stands on the table (0 deg)',
+                f'turn of the surface on the table about {name} (0 deg)',
                 float,
                 'DEG',
                 default=0.0,
@@ -150,11 +151,13 @@ def _cutting() -> tuple[Adds, ...]:
             for name in 'XYZ'
         ),
         number('--spacing', 0.1, 'distance of the needles'),
-        number('--margin', 2.0, 'distance from the border for the figures'),
+        number(
+            '--margin', 2.0, 'distance from the border within which the figures ignore needles'
+        ),
         machine_option(),
         option(
             '--compensate',
-            'machine file whose models of the drives compensate the executed motion',
+            'machine file whose drive models compensate the executed motion',
             metavar='M',
         ),
     )

@@ -84,8 +84,7 @@ def prove_runs(options: Namespace) -> Iterator[Any]:
         programs = programs_of(bag) or [['']]
     if len(programs[-1]) > 1 and options.program is not None:
         raise InterpError(
-            'a program that continues with what its probes measured cannot be compared; '
-            'leave out --program'
+            'a program that uses the results of its probes cannot be compared; leave out --program'
         )
     for program in programs:
         text = options.program if program is programs[-1] else None
@@ -232,7 +231,7 @@ def replay_command(options: Namespace) -> int:
 
 
 def repair_command(options: Namespace) -> int:
-    """Write the messages of a bag whose recorder was killed as a sound bag."""
+    """Write a valid bag with the messages of a bag whose recorder was killed."""
     from cnc_interp.client.bag import repair
 
     count, duration = repair(options.bag, options.out)
@@ -257,7 +256,7 @@ def add_problems_command(commands: Any) -> None:
 
 
 def problems_command(options: Namespace) -> int:
-    """Compare feed laws: forty paths with optimum times, as files, and scores of motions."""
+    """Compare feed laws: write forty paths with optimum times, or score motions along them."""
     return (_score if options.score else _show)(options)
 
 
@@ -294,7 +293,7 @@ def _score(options: Namespace) -> int:
             csv = file.suffix == '.csv'
             q = np.loadtxt(file, delimiter=',') if csv else np.load(file)['position']
         except (ValueError, KeyError, OSError) as fault:
-            text = f'{file}: is no motion, position at each period: {fault}'
+            text = f'{file}: is not a motion (a position for each period): {fault}'
             raise InterpError(text) from None
         found = score(problem(file.stem), q, options.period * MS)
         kept &= found.kept

@@ -27,7 +27,7 @@ from cnc_interp.commands.plan import (
 from cnc_interp.commands.send import add_send_command
 from cnc_interp.core import InterpError
 
-#: Options that name what a command writes: their folders are made before it works for minutes.
+#: Options that name output files: their folders are made first, before minutes of work.
 WRITTEN = 'out', 'html', 'record', 'export', 'write'
 
 

@@ -24,8 +24,8 @@ def add_convert_command(commands: Any) -> None:
         option('--out', 'file to write (the terminal)', Path, 'FILE'),
         option(
             '--join',
-            'native curves continue their neighbours by a small polynomial on their second '
-            'points, or by sliding the tool axis along their top curves (polynomial)',
+            'how native curves continue their neighbours: a small polynomial is added to their '
+            'second points, or the tool axis slides along their top curves (polynomial)',
             choices=('polynomial', 'parametrization'),
             default='polynomial',
         ),

@@ -26,7 +26,9 @@ def add_estimate_command(commands: Any) -> None:
         'estimate examples/first_part.ngc --feed-override 90',
         *parser.program_options(),
         *overrides,
-        parser.workers_option('processes that plan a long program between its exact stops'),
+        parser.workers_option(
+            'processes that share the planning of a long program, divided at its exact stops'
+        ),
     )
 
 
@@ -51,7 +53,9 @@ def estimate_command(options: argparse.Namespace) -> int:
     if found.other_speeds:
         speeds = ', '.join(f'{speed:g}' for speed in found.other_speeds)
         measured = machine.standstill.speed
-        tell([f'start and stop of the spindle are known at {measured:g} rev/min, not at {speeds}'])
+        tell(
+            [f'start and stop times of the spindle are for {measured:g} rev/min, not at {speeds}']
+        )
     print(json.dumps(found.to_json(), indent=2) if options.json else describe(found))
     return parser.FINE
 

@@ -43,7 +43,7 @@ def add_operate_commands(commands: Any) -> None:
         ),
         option(
             '--tool',
-            'move along the tool instead, away from the workpiece where positive',
+            'move along the tool instead, away from the workpiece if positive',
             float,
             'MM',
             default=0.0,
@@ -70,7 +70,7 @@ def add_operate_commands(commands: Any) -> None:
             nargs='*',
         ),
         flag('--clear', 'remove its previous values'),
-        flag('--use', 'make it the active one'),
+        flag('--use', 'make it the active offset'),
         *shown,
     )
     command(
@@ -90,7 +90,7 @@ def add_operate_commands(commands: Any) -> None:
         option('--radius-wear', 'wear that is added to its radius', float, 'MM'),
         option(
             '--flute',
-            'height of the part that cuts; 0: all of it below the holder',
+            'length of its cutting part; 0: the whole tool below the holder',
             float,
             'MM',
         ),
@@ -230,7 +230,7 @@ def jog_command(options: argparse.Namespace) -> int:
 
 
 def home_command(options: argparse.Namespace) -> int:
-    """Home axes of a running machine, all that have a reference switch or those named."""
+    """Home the named axes of a running machine, or all that have a reference switch."""
     from cnc_interp.client.hand_move import home_axes
 
     missing = home_axes([name.upper() for name in options.axes], options.namespace, options.domain)

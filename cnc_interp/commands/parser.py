@@ -20,7 +20,7 @@ FINE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 def program_file(text: str) -> Path:
-    """Return the path of a program; the examples named in helps are found from everywhere."""
+    """Return the path of a program; the examples in help texts are found from any folder."""
     file = Path(text)
     if file.parts[:1] != ('examples',) or file.exists():
         return file

@@ -31,7 +31,7 @@ def add_plan_command(commands: Any) -> None:
         'plan examples/pyramid.apt --out out/pyramid',
         *parser.program_options(),
         option('--out', 'folder for the plan files', Path, 'DIR', required=True),
-        flag('--look', 'draw the feed profile as text, also where the output is not a terminal'),
+        flag('--look', 'draw the feed profile as text, even if the output is not a terminal'),
         flag('--save-stock', 'write the remaining stock as stock.stl among the plan files'),
         option(
             '--stock-stages',
@@ -52,7 +52,7 @@ def add_plan_command(commands: Any) -> None:
         ),
         option(
             '--limits',
-            'guess the limits that the files of an arm lack; every report names them',
+            'guess limits that the files of an arm lack; every report names the guessed ones',
             choices=('known', 'guess'),
             default='known',
         ),
@@ -63,7 +63,9 @@ def add_plan_command(commands: Any) -> None:
             'DEG',
             default=0.0,
         ),
-        parser.workers_option('processes that plan a long program between its exact stops'),
+        parser.workers_option(
+            'processes that share the planning of a long program, divided at its exact stops'
+        ),
     )
 
 
@@ -82,7 +84,7 @@ def plan_command(options: argparse.Namespace) -> int:
     settings = settings_from(options)
     geometry = Transform.of(machine)
     tell([*machine.doubts(), *tool_warnings(machine, settings)])
-    # The first plan ever: kernels of two stages at a time.
+    # At the very first plan, kernels of two stages are compiled at the same time.
     if not any(place.exists() for place in (kernel_cache.folder(), kernel_cache.BROUGHT)):
         get_context('fork').Process(target=_compile, args=(machine,), daemon=True).start()
     stream = open_program(options.program, geometry, settings)

@@ -38,7 +38,7 @@ OF_AXES = {
     'VOLATILE_HOME': 'an axis keeps its place without power',
     'OFFSET_AV_RATIO': 'there are no external offsets',
 }
-#: The same of other sections.
+#: The same for keys of other sections.
 ELSEWHERE = {
     ('EMCIO', 'TOOL_CHANGE_POSITION'): 'enter it as G30, and write tool_change_macro: tool_change',
     ('EMCIO', 'TOOL_CHANGE_QUILL_UP'): 'move Z up in the program, or in a macro before M6',
@@ -214,7 +214,9 @@ class _Axis:
         try:
             demand(self.letter in 'XYZ' and len(self.motors) == 1, 'for one motor of X, Y or Z')
             at, ahead, back = comp_file(self.found.ini.path.parent / name)
-            trims = self.of_motor('COMP_FILE_TYPE') != 0.0  # what is added, else where it comes to
+            trims = (
+                self.of_motor('COMP_FILE_TYPE') != 0.0
+            )  # values to add; otherwise positions reached
             error = -0.5 * (ahead + back) if trims else 0.5 * (ahead + back) - at
             table = {
                 'at_mm': [_rounded(x * self.size) for x in at],

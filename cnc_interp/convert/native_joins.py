@@ -170,7 +170,7 @@ class Joins:
     def _curve(self, blocks: Blocks, first: int, last: int) -> Blocks:
         rows = blocks[first:last]
         interval = rows.knot_interval
-        # Two intervals of 0 in a row let the curve pass through a control point: a join.
+        # Two intervals of 0 in a row make the curve pass through a control point: a join.
         cuts = [i for i in range(2, len(rows) - 1) if interval[i - 1] == interval[i] == 0.0]
         ends = list(zip([0, *cuts], [*cuts, len(rows) - 1], strict=True))
         given = [self._portion(rows, a, b) for a, b in ends]

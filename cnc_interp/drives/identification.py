@@ -94,7 +94,7 @@ def identify_axis(
     counts = _after_reversals(r) & _near_motion(r, period)
     if not counts.any():
         raise InterpError(
-            f'{machine.axis_names[axis]} turned less than {FORGOTTEN + 1} times; record the '
+            f'{machine.axis_names[axis]} reversed less than {FORGOTTEN + 1} times; record the '
             'program of cnc-interp excite'
         )
     fit = _Fit(period, r, f, y, counts, machine.limits.axes[axis].load)
@@ -214,7 +214,7 @@ class _Fit:
         ]
         best = min(found, key=lambda each: each[1])[0]
         cost = np.inf
-        while True:  # friction has corners: the search may stop before the bottom
+        while True:  # friction has corners, at which the search may stop too early
             best, least, jacobian, residual = self._search(every, best, LAST)
             if least > (1.0 - GAIN) * cost:
                 break
@@ -372,7 +372,7 @@ def _moves(axis: Axis) -> Iterator[tuple[float, float]]:
         return float(min(speed * (SPEED_HELD + ramp), room))
 
     fastest = min(FASTEST * v, 0.2 * a)
-    for speed in (0.1 * fastest, 0.1 * fastest):  # what came before is forgotten
+    for speed in (0.1 * fastest, 0.1 * fastest):  # the motion before is forgotten
         yield length(speed), speed
         yield -length(speed), speed
     for speed in np.geomspace(fastest, SLOWEST * v, SPEEDS):

@@ -167,7 +167,7 @@ def learnt_for(path: Path, machine: str, model: str, period: float) -> LearntMot
     """Load learnt motion; InterpError unless it was learnt for this machine, model and period."""
     if not model:
         raise InterpError(
-            'learnt: it corrects a compensated run; name the model with --compensate'
+            'learnt: this corrects a compensated run; name its model with --compensate'
         )
     motion, again = LearntMotion.load(path), 'record runs with it and learn again'
     known = Machine.load(machine)

@@ -161,7 +161,7 @@ class AxisPathBuilder:
         while first < n:
             if np.isfinite(turn_first[first]):
                 parts.extend(self._turn_outer(segments[first : first + 1], turn_first[first]))
-            # Together: what follows the tool axis, and what has the rotary axes as coordinates.
+            # Both together: segments that follow the tool axis, and those with rotary coordinates.
             own = segments.interpolation[first] != POSES
             changes = (segments.interpolation[first:] != POSES) != own
             changes |= (motion[first:] == axes.LINEAR) & ~own
@@ -307,7 +307,7 @@ class AxisPathBuilder:
 
     def _join(self, parts: list[Cells]) -> AxisPath:
         steps = np.concatenate([part.steps for part in parts])
-        # Added one by one: the same bits however the segments arrive.
+        # Added one by one, so that the bits do not depend on how the segments arrive.
         s = np.cumsum(np.concatenate([[self._s], steps]))
         stop = np.concatenate([[self._stopped], *(part.stop for part in parts)])
         left = np.concatenate([part.left for part in parts]).swapaxes(0, 1).copy()

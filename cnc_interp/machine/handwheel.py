@@ -17,7 +17,7 @@ class Handwheel:
         self._seen = False
 
     def work(self, ignored: bool = False) -> None:
-        """Move by what was turned since the last call; StreamError if that is not possible."""
+        """Move the axes by the counts since the last call; StreamError if that is not possible."""
         if self._counts < 0:
             return
         inputs = self._playback.drives.inputs

@@ -108,7 +108,7 @@ class WiredSwitches(SimulatedSwitches):
         low, high = self._machine.travel.T
         near = np.where(self.towards > 0.0, high, low)
         far = low + high - near
-        # Beside the far end is room for the way that an axis still goes after its switch released.
+        # Beyond the far end there is room for the motion of an axis after its switch released.
         room = 0.5 * (near - self._at)
         self._shift(names, np.where(self.pressed(q), near, far + room) - q)
 
@@ -180,7 +180,7 @@ class Homing:
         if probe and self._playback.drives.inputs[probe[1]]:
             raise StreamError('homing is not possible while the probe touches; move it free')
         self._playback.check_jog()
-        self._jog.beat({}, 0.0, now)  # a key that is still held does not count
+        self._jog.beat({}, 0.0, now)  # a key that is still held has no effect
         self._seen = self._playback.state
         wanted = set(axes or given.switches)
         groups = [tuple(name for name in group if name in wanted) for group in given.groups]

@@ -1,4 +1,4 @@
-"""Motion by hand: beats request velocities and moves request targets; both become pieces."""
+"""Motion by hand: beats request velocities, moves request targets; both become setpoints."""
 
 import math
 from collections.abc import Mapping
@@ -46,7 +46,7 @@ class Jog:
         self._period = playback.axes.period
         self._axes = Slides.of_axes(self._machine)
         self._drives = Slides.of_drives(self._machine)
-        #: Whether axes move as the drives count, without errors: while they are homed.
+        #: Whether axes move in the coordinates of the drives, without errors: while homing.
         self.by_drives = False
         self._wish: Beat | Move | None = None
         self._beat_at = -math.inf

@@ -129,7 +129,7 @@ class PlanQueue:
         """Return whether this setpoint cannot be the first one of a motion from rest."""
         axes = self._axes
         if begins.shape != axes.setpoints[-1].shape:
-            return False  # of another machine, which the checks of its message tell
+            return False  # of another machine; the checks of its message report that
         farthest = axes.machine.max_jerk * axes.period**3 + ELSEWHERE
         return bool((np.abs(begins - axes.setpoints[-1]) > farthest).any())
 

@@ -112,7 +112,7 @@ class Progress:
     finishing: bool = False  #: Whether the last functions of the run are waiting.
     answered: bool = False  #: Whether the probe has answered.
     waited: float = 0.0  #: Time spent waiting for setpoints [s].
-    #: The setpoints of a line that followed the spindle are left out; a hold came meanwhile.
+    #: Whether setpoints of a line that follows the spindle are skipped; whether a hold follows it.
     passing: bool = False
     held_after: bool = False
 

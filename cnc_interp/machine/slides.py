@@ -13,11 +13,11 @@ from cnc_interp.machine_model.error_map import NO_ERRORS, ErrorMap
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 
-THERE = TRAVEL_SLACK  #: Nearer than this to its target, an axis is there [m, rad].
-#: Share of the limits of the drives by which errors may bend a motion by hand, and what its
-#: nominal axes use of the limits, with some room for the slope of the errors [-].
+THERE = TRAVEL_SLACK  #: An axis nearer than this to its target has arrived [m, rad].
+#: Share of the drives' limits for the bends that errors add to a motion by hand, and share for
+#: its nominal axes; the rest is room for the slope of the errors [-].
 BENT, KEPT = 0.1, 0.75
-TINY = 1e-12  #: Errors that bend less do not bend.
+TINY = 1e-12  #: Smaller bends count as zero.
 
 
 @dataclass(frozen=True, eq=False)

@@ -136,7 +136,7 @@ class Switching:
     def asks(self) -> str:
         """Task that the operator must do before the run continues; empty if there is none."""
         if self._queue and self._breach:
-            return f'{self._breach}; see to it, then press cycle start to try again, or reset'
+            return f'{self._breach}; correct this, then press cycle start to try again, or reset'
         if not (self._queue and self._is_set) or self._answered:
             return ''
         step, limit = self._queue[0].step, self._queue[0].limit
@@ -148,8 +148,8 @@ class Switching:
         if step.wait == NO_WAIT or self._waited <= limit:
             return ''
         return (
-            f'{told}: {self._signals.waited(step)} has not come within {limit:g} s; see to '
-            'it, then press cycle start to go on without it, or reset to give up'
+            f'{told}: {self._signals.waited(step)} has not come within {limit:g} s; find the '
+            'cause, then press cycle start to continue without it, or reset to give up'
         )
 
     def answer(self) -> None:

@@ -22,8 +22,8 @@ from cnc_interp.machine_model.machine import Machine, arm_of
 from cnc_interp.machine_model.transform_port import Transform, tool_line
 
 STEPS = 200  #: Places on each side at which the curve is known before the motion.
-#: How often faster than at its beginning a joint may run per length, and what is kept of limits
-#: between two known places [-].
+#: Largest rate of a joint per length over that at the beginning; share of the limits that is
+#: used, because the curve is known only at some places [-].
 FASTER, MARGIN = 2.0, 0.9
 
 

@@ -198,7 +198,7 @@ class Handler(BaseHTTPRequestHandler):
         self.send_header('Connection', 'close')
         self.send_header('Content-Type', f'multipart/x-mixed-replace;boundary={BOUNDARY}')
         self.end_headers()
-        with contextlib.suppress(OSError, RequestError):  # it went away, or is too slow
+        with contextlib.suppress(OSError, RequestError):  # the client has left, or is too slow
             for part in found:
                 head = '--{}\r\nContent-type: text/xml\r\nContent-length: {}\r\n\r\n'
                 told = head.format(BOUNDARY, len(part)).encode()

@@ -46,7 +46,9 @@ class Store:
         self._items, self.clock, self.size = items, clock, size
         self._kept: deque[Observation] = deque(maxlen=size)
         self._counts: dict[str, list[Observation]] = {item: [] for item in items}
-        self._dropped: dict[str, list[Observation]] = {}  # what counted before the oldest kept
+        self._dropped: dict[
+            str, list[Observation]
+        ] = {}  # valid before the oldest kept observation
         self._news, self._next = Condition(), 1
         self.lose()
 

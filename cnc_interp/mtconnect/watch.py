@@ -66,7 +66,7 @@ class MachineWatch(ServedNode):
         self._parts, self._counted = 0, ''  # programs executed, and the last of them
         self._diagnostics: dict[str, DiagnosticStatus] = {}
         self._was_stopped = False
-        self._reset: dict[str, str] = {}  # what parts of nodes told when the machine was reset
+        self._reset: dict[str, str] = {}  # reports of parts of nodes when the machine was reset
         node = self.node
         watch_machine(node, self._see_state)
         take: tuple[tuple[Any, str, Callable[[Any], None]], ...] = (

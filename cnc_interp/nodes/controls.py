@@ -64,7 +64,7 @@ class Controls:
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
         if not playback.drives.wired:
             node.create_subscription(MachineSignals, 'machine_inputs', self._take_inputs, STATE)
-        self._told_until = 0.0  # what was rejected or broken off is over then [s]
+        self._told_until = 0.0  # end of the report about a rejected motion [s]
 
     def _contact(self, contact: Foresight, q: FloatArray) -> Any:
         """Find contacts ahead, once the positions of the axes are known."""

@@ -215,7 +215,7 @@ class MachineNode(LifecycleNode):
         mine = run_id == receiver.run_id
         receiver.consumed = playback.plans.played_of_plan if mine else 0
         self._inlet.buffered_time = playback.plans.buffer.count * self._period
-        self._topics.tell_contacts()  # before the state that counts with them
+        self._topics.tell_contacts()  # before the state that depends on them
         if self._kept is not (state.state is State.FAULT and playback.power_fails):
             (self._forget_positions if self._kept else self._keep_positions)()
         if state.state is State.FAULT:
@@ -233,7 +233,7 @@ class MachineNode(LifecycleNode):
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._topics.publish_state()
         self._topics.tell_signals()
-        self._controls.work(override)  # what was reached before is published
+        self._controls.work(override)  # results so far are published
         self._inlet.tick()
         self._topics.work()
         return self._controls.homing.active or playback.busy

@@ -83,7 +83,7 @@ class MachineTopics:
 
     def _take_modes(self, topic: str, modes: msg.ModalState) -> None:
         self._modes[topic] = modes
-        self._wake()  # the coordinates may read otherwise now
+        self._wake()  # the coordinates may have changed
 
     def work(self) -> None:
         now = time.monotonic()

@@ -86,8 +86,8 @@ def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bo
             waker.join()
         if executor is not None:
             executor.shutdown()
-        # A forked process ends without Python's own tidying up. DDS removes its files in shared
-        # memory when the last object of ROS is gone, so all of them must go here.
+        # A forked process ends without Python's own cleanup. DDS removes its files in shared
+        # memory when the last object of ROS is deleted, so all of them are deleted here.
         node = executor = None
         gc.unfreeze()
         gc.collect()

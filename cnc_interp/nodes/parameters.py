@@ -44,7 +44,9 @@ SCENE = tuple(each for each in of_settings(*Stage) if each.name in ('scene', 'se
 LOOKAHEAD = (
     MACHINE,
     *of_settings(Stage.SMOOTHING),
-    Declared('block_window', 512, 'Blocks taken ahead of the look-ahead', 4, DEPTH - 1),
+    Declared(
+        'block_window', 512, 'Blocks accepted before the look-ahead needs them', 4, DEPTH - 1
+    ),
     RESEND,
     PEER_TIMEOUT,
 )
@@ -53,10 +55,10 @@ FEEDRATE = (
     AUTOSTART,
     *of_settings(Stage.MOTION, Stage.PLANNING, Stage.APPROACH),
     *(each for each in SCENE if each.name == 'setup'),
-    Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared(
-        'plan_ahead', 10.0, 'Motion planned ahead of what the machine buffers [s]', 0.1, 600.0
+        'segment_window', 256, 'Segments accepted before the planner needs them', 4, DEPTH - 1
     ),
+    Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine buffers [s]', 0.1, 600.0),
     Declared('chunk_time', 0.005, 'Motion sent per message, at least one setpoint [s]', 0.0, 0.1),
     RESEND,
     PEER_TIMEOUT,

@@ -318,7 +318,7 @@ class PlanningSession:
     def _plan_ahead_task(
         self, planner: RunPlanner, report: MachineReport | None
     ) -> PlanningTask | None:
-        plan = planner.stream.current  # even if another one counts when this is done
+        plan = planner.stream.current  # even if another plan is current when this is done
         unsent = self._port.outlet.sender.unsent * self._period
         sample = unsent < SAMPLED_AHEAD and plan.can_sample
         self.ready = unsent + plan.planned

@@ -5,7 +5,7 @@ from importlib import import_module
 
 from cnc_interp.processes.node_processes import NODES
 
-gc.disable()  # nothing is thrown away here; to look for it would take a tenth of the time
+gc.disable()  # imports leave no garbage; searching for it would take a tenth of the time
 for node in NODES:
     import_module(f'cnc_interp.nodes.{node}')
 import_module('cnc_interp.nodes.kernel_warmup').warm_shared()

@@ -373,7 +373,7 @@ class ProgramNode(Node):
             text = f'{outcome.message}. Messages of other nodes were ignored: {senders}'
             outcome = replace(outcome, message=text)
         result = run.result(outcome)
-        # A run that began again may end with what was sent before.
+        # A restarted run may end with blocks that were sent before the restart.
         result.blocks_sent = max(1, run.sent_before, self._outlet.sender.sent) - 1
         result.blocks_sent += run.sent_in_parts
         if run.proposed:

@@ -32,12 +32,12 @@ from cnc_interp.wire.run_messages import loaded_program, pairs_of
 from cnc_interp.wire.window_protocol import WindowedSender
 
 PATIENCE = 10.0  #: Longest time for look-ahead and planner to accept a run [s].
-#: The same for nodes that were never heard, because they start and load kernels [s].
+#: The same for nodes not heard yet, which may still be starting and loading kernels [s].
 STARTING = 60.0
 FORGOTTEN = 1.0  #: A machine that has left its run for this time was reset or restarted [s].
 SWITCHED = 0.1  #: Longest delay of the machine's new state after a call [s].
 SAME = 1e-9  #: Tolerance within which the machine is at the start of an MDI line [m, rad].
-#: Place of a start at the line of the first motion [m]; above 0, so that it waits as usual.
+#: Path length of a start at the first motion [m]; above 0, so that this start waits, too.
 FIRST_MOTION = 5e-14
 CANCELLED = 'cancelled before anything moved'
 MACHINE = RECEIVERS['setpoints']
@@ -45,7 +45,7 @@ PLANNERS = {RECEIVERS['blocks'], RECEIVERS['segments']}
 
 
 def why_not(missing: str, machine: MachineReport | None) -> Outcome | None:
-    """Return why nothing can start now, by the silent node and the machine; None if it can."""
+    """Return why nothing can start, given a silent node and the machine; None if it can."""
     if missing or machine is None:
         text = f'{missing or MACHINE} does not answer; start it and try again'
         return Outcome(Code.STREAM_LOST, text)
@@ -334,7 +334,7 @@ class ProgramRun:
         return (
             self.phase is Phase.WAITING
             and program is not None
-            and not self.parts  # what has run is not read again
+            and not self.parts  # executed parts are not read again
             and not program.is_own_setup
             and program.setup != setup
         )
@@ -382,7 +382,7 @@ MOST_QUEUED = 512  #: Blocks queued for sending at a time; not the whole program
 MOST_TOGETHER = 64  #: Most blocks in one message.
 #: Line ends sent beyond the executed block in single block, so that few lines keep their exact
 #: stops when it is switched off. The look-ahead needs some blocks before a corner is final, and
-#: the planner sees that a line ends by the next one.
+#: the planner knows the end of a line only once the next line has begun.
 LINES_AHEAD = 8
 
 
@@ -394,7 +394,7 @@ class BlockFeed:
         self._signals = signals
         self._run_id, self._continue_at = NO_RUN, 0.0
         self._queued = 0
-        #: Rows from which on single block may add exact stops: none of them was ever queued.
+        #: First row to which single block may add an exact stop: no row from it on was queued.
         self._undecided = 0
         self._stops: list[int] = []  # rows of the exact stops that it has added
         self.holds_back = False  # blocks, until the machine has executed more

@@ -1,11 +1,11 @@
-// The page's end of contact.py: tells the server what it has heard, says when that is old,
-// and sends a stop again and again until it is answered, over a reload of the page too.
+// The page's end of contact.py: tells the server which beat it has heard, shows when that beat is old,
+// and resends a stop until it is answered, even after a reload of the page.
 window.contact = {
-  heard: performance.now(), // when the last beat came
-  before: 0, // age of what had been shown then [ms]
+  heard: performance.now(), // when the last beat arrived
+  before: 0, // age of what the page showed then [ms]
   beat: 0,
   tried: 0, // when the connection was last up, or being tried
-  // Numbers of stops that are not answered yet: name and time of the press.
+  // Unanswered stops by number: name and time of the press.
   stops: JSON.parse(sessionStorage.stops || '{}'),
 
   connected() {
@@ -37,7 +37,7 @@ window.contact = {
     sessionStorage.stops = JSON.stringify(this.stops);
   },
   send() {
-    // Not where there is no connection: it would pile up. It goes out with the next one.
+    // Without a connection requests would pile up, so the stop is sent with the next connection.
     if (!this.connected()) return;
     for (const [number, [name]] of Object.entries(this.stops)) emitEvent('stop', { number, name });
   },
@@ -50,7 +50,7 @@ window.contact = {
     if (this.age() > 3000) words.push(`no contact: what is shown is ${Math.floor(this.age() / 1000)} s old`);
     shown.textContent = words.join('; ');
   },
-  // A connection that the server has refused or ended is given up by its library, but not here.
+  // The library gives up a connection that the server has refused or ended; this page tries again.
   connectAgain() {
     const now = performance.now();
     if (window.socket?.active !== false) this.tried = now;
@@ -70,7 +70,7 @@ window.contact = {
 };
 document.addEventListener('visibilitychange', () => window.contact.answer());
 setInterval(() => window.contact.look(), 300);
-// The texts that stand in the fields of this page, by their marks.
+// The texts in the fields of this page, by their marks.
 window.shown = () => {
   const texts = {};
   for (const field of document.querySelectorAll('input[data-mark], [data-mark] input'))

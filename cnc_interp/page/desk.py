@@ -108,18 +108,18 @@ class Desk:
         self._stopped = False  # by an emergency stop or a fault
         self.machine: Machine | None = None
         self.bodies: tuple[DrawnBody, ...] = ()  #: Bodies of the machine's scene.
-        self._first_tool = 0  # the one that the scene puts in the spindle
+        self._first_tool = 0  # the tool that the scene puts in the spindle
         self.job: Job | None = None
         self.settings = Settings()
         self.start = StartChoice()
-        self.operator = user_name()  #: Whom the next run names.
+        self.operator = user_name()  #: The operator named in the next run.
         self._ways: WayAhead | None = None
         self.lines = LineHistory()
         self.switched = dict.fromkeys(SWITCHES, False)
         self.tube, self.tube_number = b'', 0
         # path lengths at the points of the tube [m], and lines of the blocks that lead there
         self._drawn, self._drawn_lines = np.zeros(0), np.zeros(0, dtype=np.int64)
-        self._jobs = self.laid = 0  # programs planned, and laid here
+        self._jobs = self.laid = 0  # programs planned, and loaded here
         self._planner = Planner()
         self._running: Job | None = None
         self._adopted = ''
@@ -139,7 +139,7 @@ class Desk:
         self.switched['single_block'] = state.single_block
         stopped = state.state in (MachineState.STOPPING, MachineState.FAULT)
         if self._stopped and not stopped:
-            self._clear_alarms()  # it was reset, by whomever
+            self._clear_alarms()  # the machine was reset, by any client
         self._stopped = stopped
         with suppress(RuntimeError):  # the loop has ended just now
             if self.loop is not None:
@@ -211,7 +211,7 @@ class Desk:
         if program.mdi:  # the loaded program stays
             self._running = None
             return
-        # Its plan is that of the whole program, wherever it starts.
+        # The plan is always that of the whole program, wherever the run starts.
         settings = replace(settings_from(program.settings, Settings()), from_line=0, line_pass=0)
         if self.job is not None and self.job.is_run(program, settings):
             self._running = self.job
@@ -296,7 +296,9 @@ class Desk:
         if setup != job.setup:
             again = self._set_job(replace(job, plan=None, setup=setup))
             if self._running is job and table and table.changed_by.startswith(f'{job.name} line '):
-                self._running = again  # the run that has changed them is shown on
+                self._running = (
+                    again  # the display continues with the run that has changed the setup
+                )
 
     def _lay(self, name: str, text: str, settings: Settings) -> Job:
         path, setup = self._planner.keep(name, text), self._setup_text(settings)
@@ -305,7 +307,7 @@ class Desk:
 
     def _set_job(self, job: Job) -> Job:
         self._jobs += 1
-        # What others than the machine told was about the program before.
+        # Reports of other nodes than the machine were about the previous program.
         self.nodes.alarms.hide(lambda alarm: 'machine_node' not in alarm.source)
         job.number, job.status, job.proven = self._jobs, 'planning', None
         job.failed, job.fault_lines = False, ()

@@ -41,7 +41,12 @@ KEYBOARD = (
     ('o', 'O', 'optional stop', 'optional stop (M1) on or off'),
     ('b', 'B', 'block delete', 'block delete on or off: leaves out lines that begin with a slash'),
     ('j', 'J', 'jog', 'show or hide the keys that move an axis'),
-    ('p', 'P', 'pose', 'show or hide where to go: a tool pose, or the zero of an axis'),
+    (
+        'p',
+        'P',
+        'pose',
+        'show or hide the fields for going to a tool pose or to the zero of an axis',
+    ),
     ('?', '?', 'keyboard', 'show or hide this list'),
 )
 MARKS = {name: mark for name, _, mark, _ in KEYBOARD}
@@ -192,7 +197,7 @@ class SetupDialog:
         self._dialog.open()
 
     def show_again(self) -> None:
-        if self._dialog.value:  # not where its user has closed it meanwhile
+        if self._dialog.value:  # unless its user has closed it meanwhile
             self.open()
 
     # Building -----------------------------------------------------------------------------------

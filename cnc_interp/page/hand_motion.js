@@ -1,13 +1,13 @@
-// Keys that move an axis while they are held: a beat again and again until the pointer leaves the key or
-// lets it go, the window is left, or the contact breaks. The machine stops by itself where no beat comes.
-// What ends or delays the motion, but is not its user's doing, is said.
+// Keys that move an axis while they are held: beats are repeated until the pointer leaves or releases the
+// key, the window loses the focus, or the contact breaks. Without beats the machine stops by itself.
+// If something other than the user ends or delays the motion, a message says so.
 window.jog = {
   EVERY: 60, // time between beats [ms]
-  LATE: 200, // a press that the page has heard so much later is told [ms]
+  LATE: 200, // delay of the page from which on a press is reported as late [ms]
   OLD: STALE, // silence of the server after which a held key must be pressed again [ms]
-  GONE: LOST, // what is said where neither the user nor the contact ended it
+  GONE: LOST, // message if neither the user nor the contact ended the motion
   KEYS: ARROWS,
-  FILLS: FILLED, // for so long a key that starts a rapid must be held [ms]
+  FILLS: FILLED, // time for which a key that starts a rapid must be held [ms]
   timer: 0,
   key: null, // the key that a pointer holds
 
@@ -21,7 +21,7 @@ window.jog = {
     this.timer = setInterval(beat, this.EVERY);
     const late = performance.now() - pressed;
     if (late < this.LATE) beat();
-    // The release may wait already: it is heard before the first beat of the timer.
+    // The release may already be waiting: it is processed before the first beat of the timer.
     else this.say(`this page is busy: the key moves ${(late / 1000).toFixed(1)} s after the press`);
   },
   release(why) {
@@ -49,7 +49,7 @@ window.jog = {
   },
   take(event) {
     this.key = event.currentTarget;
-    this.key.setPointerCapture(event.pointerId); // else nothing is heard of a pointer outside the window
+    this.key.setPointerCapture(event.pointerId); // else events of a pointer outside the window are lost
   },
   fill(event, name) {
     if (!event.isPrimary || event.button) return;
@@ -83,7 +83,7 @@ window.addEventListener('pointerup', () => jog.release(), true);
 for (const kind of ['pointercancel', 'lostpointercapture', 'pagehide', 'visibilitychange'])
   window.addEventListener(kind, () => jog.release(jog.GONE), true);
 window.addEventListener('pointermove', (event) => jog.slide(event), true);
-// Without capture: the blur of an element is none of the window.
+// Without capture, because the blur of an element is not that of the window.
 window.addEventListener('blur', () => jog.release(jog.GONE));
-// A finger that rests on a key asks for no menu.
+// A finger that rests on a key must not open a menu.
 document.addEventListener('contextmenu', (event) => event.target.closest('.jog, .held') && event.preventDefault());

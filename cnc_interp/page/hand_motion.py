@@ -79,7 +79,7 @@ class JogPad:
     ):
         self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
         self._nodes, self._may_move, self._unit, self._command = nodes, may_move, unit, command
-        self._told = ''  # what was reported of the key that is held
+        self._told = ''  # the last message about the held key
         self._step = HOLD
         self._shown: list[bool] = []  # which axes are homed
         self._alarm: Alarm | None = None  # the last one of motion by hand
@@ -294,7 +294,7 @@ class PoseField(NumberFields):
         self._axes = tuple(axes)
         with self._box, ui.element('div').classes('zeros wide'):
             ui.label('go to zero as a rapid: hold the key').classes('small')
-            for name in sorted(self._axes, key='Z'.__eq__):  # Z stands apart
+            for name in sorted(self._axes, key='Z'.__eq__):  # Z moves separately
                 made = key(f'{name} 0', f'go to zero {name}').classes(f'moves held {name.lower()}')
                 made.on(
                     'pointerdown', js_handler=f'(event) => jog.fill(event, {json.dumps(name)})'

@@ -159,7 +159,7 @@ class SignalKeys:
         self._told: MachineSignals | None = None
         with ui.element('div').classes('signals') as self._place:
             self._text = ui.label().props('data-mark="signals"').classes('small')
-        self._place.set_visibility(False)  # until the machine has told some
+        self._place.set_visibility(False)  # until the machine has reported some
         self._keys: dict[str, Switch] = {}
 
     def _is_on(self, name: str) -> bool:

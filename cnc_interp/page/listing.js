@@ -26,7 +26,7 @@ window.listing = {
     if (!box) return;
     this.picked = 0;
     box.onscroll = () => this.draw();
-    this.fitted ??= new ResizeObserver(() => this.go()); // a turned tablet loses the place
+    this.fitted ??= new ResizeObserver(() => this.go()); // turning a tablet loses the scroll position
     this.fitted.observe(box);
     box.onclick = (event) => this.pick(event.target.closest('li'));
     for (const kind of ['wheel', 'pointerdown', 'keydown']) box.addEventListener(kind, () => this.let_go());
@@ -40,7 +40,7 @@ window.listing = {
   pick(row) {
     if (row) this.choose(Number(row.firstElementChild.textContent), false);
   },
-  // Take a line for the next start; one that was not pressed here is brought into sight.
+  // Choose a line for the next start; scroll to it unless it was pressed here.
   choose(number, scrolls = true) {
     this.picked = number;
     emitEvent('pick_line', { line: number });
@@ -51,7 +51,7 @@ window.listing = {
     }
     this.draw();
   },
-  // The next line after the picked one that has the text, from the top again after the last.
+  // The next line with the text after the picked one; after the last line the search restarts at the top.
   find(text) {
     const count = this.lines.length;
     const wanted = text.trim().toUpperCase();

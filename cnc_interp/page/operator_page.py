@@ -55,7 +55,7 @@ class Page:
     _times: TimesDialog
 
     def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool, why: str = ''):
-        self._why = why  # the page may not command; empty if it may
+        self._why = why  # the page may not send commands; empty if it may
         self._desk, self._access, self._tab, self._trusted = desk, access, tab, trusted
         assert desk.machine is not None  # a page is made once it is known
         self._machine = desk.machine
@@ -246,7 +246,7 @@ class Page:
             upload = ui.upload(
                 on_upload=self._load, auto_upload=True, max_file_size=LONGEST_PROGRAM
             ).classes('hidden')
-            upload.disable()  # until the page is in charge: then nothing is taken from others
+            upload.disable()  # until the page is in charge; a page without control cannot upload
             self._upload = upload
             self._loader = key('load', act=lambda: self._pick(waits=False))
             self._lister = key('programs', act=lambda: self._folder.open())

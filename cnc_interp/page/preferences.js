@@ -1,4 +1,4 @@
-// What the user of this browser prefers: inches, and a light page. It is kept beside the page.
+// Preferences of this browser's user: inches, and a light page. The browser stores them.
 window.preferences = {
   toggle(name) {
     localStorage.setItem(name, localStorage.getItem(name) === 'on' ? '' : 'on');

@@ -155,7 +155,7 @@ class Planner:
     def __init__(self) -> None:
         self.machine = ''  # by file or bundled name; empty before it is known
         self._folder = TemporaryFolder()
-        self._plan = Path(self._folder.name) / '.plan'  # no program is called so
+        self._plan = Path(self._folder.name) / '.plan'  # no program has this name
         self._process: asyncio.subprocess.Process | None = None
 
     def keep(self, name: str, text: str) -> Path:
@@ -178,12 +178,12 @@ class Planner:
             settings = replace(settings, setup=file)
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
         fine: tuple[int, ...] = (0,)
-        if settings.scene is not None:  # planned in any case: the page shows what hits
+        if settings.scene is not None:  # planned in any case, because the page shows the hits
             settings, fine = replace(settings, collision='warn'), (0, 1)
             words += ['--stock-stages', str(STAGES)]
         _, said = await self._run([*words, *command_words(settings)], see_progress, fine)
         notes = [line.removeprefix('note: ') for line in said if NOTE.match(line)]
-        # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.
+        # In a thread: a long plan takes seconds, and pages without messages disconnect.
         return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))
 
     async def check(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-// For scene.py: the executed part of the path in a colour of its own, and what is seen through the machine.
+// For scene.py: the executed part of the path in a separate colour, and the parts drawn through the machine.
 window.scene = {
   // The view has the room that the jog keys leave.
   fit(scene) {
@@ -16,11 +16,11 @@ window.scene = {
       object.mesh.renderOrder = 1;
     }
   },
-  // Draw the path as a tube with so many sides: of its radius, its points and their colours.
+  // Draw the path as a tube with this many sides, from its radius, points and colours.
   async show_path(scene, path, file, sides, done, corners_done) {
     const view = getElement(scene);
     const object = view.objects.get(path);
-    if (!object) return; // the view begins later
+    if (!object) return; // the view is not ready yet
     object.done = corners_done;
     const [{ THREE }, answer] = await Promise.all([import('nicegui-scene'), fetch(file), object.ready_promise]);
     if (!answer.ok || view.objects.get(path) !== object) return; // another path is shown by now
@@ -37,7 +37,7 @@ window.scene = {
       const tangent = before.clone().add(chord(Math.min(k, count - 2)));
       if (tangent.length() < 0.1) tangent.copy(before); // the path turns back on itself
       tangent.normalize();
-      across.addScaledVector(tangent, -across.dot(tangent)); // it is carried along with little turning
+      across.addScaledVector(tangent, -across.dot(tangent)); // the cross section is carried along with little turning
       if (across.length() < 0.1) {
         const size = tangent.toArray().map(Math.abs);
         across.set(0, 0, 0).setComponent(size.indexOf(Math.min(...size)), 1).cross(tangent);
@@ -97,7 +97,7 @@ window.scene = {
   show_done(scene, path, corners) {
     const object = getElement(scene).objects.get(path);
     if (!object) return;
-    object.done = corners; // where it is not drawn yet
+    object.done = corners; // if the tube is not drawn yet
     object.mesh?.traverse((part) => {
       if (!part.isMesh) return;
       part.geometry.clearGroups();

@@ -92,7 +92,7 @@ TRIAD_LENGTH, TRIAD_RADIUS = 0.22, 0.006
 #: Colour of the executed part of the path.
 DONE = '#5d6d79'
 RAY, RAY_COLOUR = 0.14, '#ffd166'
-#: The way to a place inside the program: colours, and radius relative to the size of the view.
+#: The approach to a place inside the program: colours, and radius relative to the view's size.
 WAY, WAY_RADIUS = '#ff5ec4', 0.004
 FOV = 40.0
 #: Bodies that the view of the part leaves out.
@@ -131,7 +131,9 @@ class MachineView:
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
         self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
         self._scene.classes('scene')
-        self._scene.on('init', self._draw_path)  # again where the browser has lost its drawing
+        self._scene.on(
+            'init', self._draw_path
+        )  # again, because the browser may have lost its drawing
         with self._scene:
             self._root = self._scene.group()
             with self._root:

@@ -94,7 +94,7 @@ def serve(served: Served, namespace: str, domain: int, revive: Revive) -> None:
     """Serve until a signal, or until ``revive``, which restarts nodes, raises InterpError."""
     access = Access(served.token)
     with ExitStack() as closing:
-        with stops_later():  # half a desk could not be closed, nor one that nobody knows yet
+        with stops_later():  # an interrupt here would leave a desk that cannot be closed
             desk = Desk(namespace, domain, served.folder)
             closing.callback(desk.close)
         _serve(served, access, desk, revive)

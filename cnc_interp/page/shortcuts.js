@@ -17,7 +17,7 @@ window.keyboard = {
     }
     if (event.type !== 'keydown' || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     const mark = this.names[event.key];
-    // A stop counts everywhere, even while its user types.
+    // A stop works everywhere, even while the user types.
     if (!mark || (this.typing(event.target) && event.key.length === 1)) return;
     event.preventDefault();
     document.querySelector(`[data-mark="${mark}"]:not([disabled])`)?.click();

@@ -14,9 +14,9 @@ from cnc_interp.wire.run_messages import settings_from
 
 #: Number of points drawn on a leg with turning rotary axes, where the tip moves on a curve.
 POINTS = 25
-#: Parts of the way, and the corner of ``way_inside`` at which each ends.
+#: Parts of the approach, and the corner of ``way_inside`` at which each ends.
 LEGS = (('1 retract', 1), ('2 position', 3), ('3 plunge', 4))
-#: Reasons why a machine waits before it takes the way.
+#: Reasons why a machine waits before the approach.
 WAITS = (MachineState.REASON_APPROACH, MachineState.REASON_AWAY)
 AWAY = 'the axes were moved away by hand'
 BACK = 'cycle start moves the tool back and continues: retract, position, plunge; reset gives up'

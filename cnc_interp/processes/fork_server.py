@@ -30,7 +30,7 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
         multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]
         util.Finalize(None, _end, exitpriority=AFTER_CHILDREN)
     resource_tracker.ensure_running()  # which changes the mask itself
-    # The server and its children inherit the mask. What is blocked waits; what is ignored is lost.
+    # The server and its children inherit the mask. Blocked signals wait; ignored ones are lost.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
         forkserver.ensure_running()

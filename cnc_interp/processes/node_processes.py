@@ -99,7 +99,7 @@ class Children:
             target=_live,
             args=(node, arguments, self._environment, log),
             name=node,
-            daemon=True,  # whoever forgets to end the nodes can end all the same
+            daemon=True,  # a program that forgets to end the nodes can still exit
         )
         process.start()
         return Started(node, process, log)

@@ -30,7 +30,7 @@ _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 
 class SetupTable:
-    """Offsets and tools of the machine; each change goes to the log, then to the file, then here.
+    """Offsets and tools of the machine; a change is written to the log, the file, then here.
 
     While it is open, no other table can use the same file, which may be new. Without a file, the
     changes are lost with this object.
@@ -61,7 +61,7 @@ class SetupTable:
         for change in changes:
             after = after.changed(change)
         text = after.text()
-        after = JobSetup.of_text(text)  # what a restart will read, to the last digit
+        after = JobSetup.of_text(text)  # exactly what a restart will read
         names = {(change.field, change.key): change for change in changes}.values()
         told = '; '.join(
             f'{change.name}: {self.setup.told(change)} -> {after.told(change)}'

@@ -14,7 +14,7 @@ from cnc_interp.proof.linuxcnc_reader import LAST_DIGIT
 from cnc_interp.proof.plain_reader import STOPS, ReadCall, ReadMove
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 
-# Ends agree within this [m, -, rad] and so many last digits; feeds and durations by this share.
+# Ends agree within this [m, -, rad] and this many last digits; feeds and durations by this share.
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
 SAME_TURN = 1e-9  #: Turns about the tool axis that differ by less are equal [whole turns].
 STILL = 1e-12  #: A shorter way counts as zero: the turning axes then set the time [m].
@@ -43,7 +43,7 @@ class RowsByLine:
     def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float] = UNKNOWN):
         self.blocks, self.machine, self.tolerances = blocks, machine, tolerances
         self.transform = Transform.of(machine)
-        # Whether degrees count in the feed, as millimetres; both where the text leaves it open.
+        # Whether degrees count as millimetres in the feed; both if the text does not determine it.
         self.combined: tuple[bool, ...] = (False,)
         self.height = float('nan')  # flank height [m]
         self.faults: list[str] = []
@@ -318,7 +318,7 @@ class RowsByLine:
         else:
             start, end = self.points(move, rows[:1] - 1)[0] - extra[first] @ direction, move.end
         way = float(np.linalg.norm(end - start))
-        if way <= DIGITS * move.digit:  # printed so, the rows tell whether X Y Z move
+        if way <= DIGITS * move.digit:  # only the rows show whether X Y Z move
             ends = self.points(move, np.array([first, last]))
             way = float(np.linalg.norm(ends[1] - ends[0]))
         if move.sweep:
@@ -380,7 +380,7 @@ class RowsByPlace(RowsByLine):
             self.tiny += 1
             return self.row
         here = [] if move.sweep else self.near(move, self.row - 1, 2).tolist()
-        if here == [True, False]:  # shorter than a digit, and its row is none of this line
+        if here == [True, False]:  # shorter than a digit, and without a row of this line
             return self.row
         stop, some = int(self.stops[self.row]) if self.row < len(self.stops) else self.row, 4
         while self.row < stop:

@@ -16,8 +16,8 @@ from cnc_interp.proof.verdict import Ledger
 STOP_DISTANCE = 1e-6  #: Largest accepted distance between an exact stop and its vertex [m].
 SEARCHED = 20_000  #: Number of samples before and after a vertex that are searched for a rest.
 STOP_ANGLE = 1e-6  #: Largest accepted error of rotary words at an exact stop [rad].
-# At the pole the tool axis does not show a turn; nearer than this number of orientation tolerances
-# the outer rotary axis is held to its word as if the tool were so far away.
+# At the pole the tool axis does not show a turn. Nearer than this number of orientation
+# tolerances, the outer rotary axis must keep to its word as if the tool were at this distance.
 POLE_TOLERANCES = 4.0
 
 
@@ -172,7 +172,7 @@ class VertexSearch:
     ) -> tuple[FloatArray, IntArray]:
         """Return the distance of each vertex from the motion, and the sample before that place.
 
-        The samples of its rows are searched first, and more of them if the vertex is missed there.
+        The samples of its rows are searched first, and more samples if they miss the vertex.
         ``unit`` (M, 3): length per coordinate in which the tolerance is 1.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))

@@ -125,7 +125,7 @@ def read_by_linuxcnc(
         for file, content in (('tool.tbl', table), ('part.ngc', text), ('p.var', variables)):
             (folder / file).write_text(content, encoding='utf-8')
         words = [command, '-t', 'tool.tbl', '-v', 'p.var', '-g', 'part.ngc']
-        # It keeps the tool table in a file of its home, which two readers at once would share.
+        # It keeps the tool table in a file of its home, which concurrent readers would share.
         with (
             (folder / 'complaints').open('w+b') as complaints,
             subprocess.Popen(
@@ -277,7 +277,7 @@ class _Printed:
         elif name == 'CHANGE_TOOL' and self.lengthened:
             raise LinuxCNCError("LinuxCNC's rs274 forgets a length at a tool change before motion")
         elif name == 'SET_MOTION_CONTROL_MODE' and numbers and numbers[0] != self.number:
-            # After a cycle the same number comes again, whatever the unit is by then.
+            # After a cycle the same number is printed again, even if the unit has changed.
             self.number, self.tolerance = numbers[0], numbers[0] * self.unit or float('nan')
         elif name == 'SET_XY_ROTATION':
             c, s = np.cos(numbers[0] * DEG), np.sin(numbers[0] * DEG)

@@ -152,7 +152,7 @@ def _prove_setpoints(ledger: Ledger, grid: FloatArray, rows: IntArray) -> None:
     plan, path, count = ledger.plan, ledger.plan.path, len(ledger.plan.position)
     others, other = 0, -1
     for a, b in spans(count):
-        s = held(plan.setpoints['s'], a, b, 0, 1)  # with the one after them
+        s = held(plan.setpoints['s'], a, b, 0, 1)  # with the next sample
         outside = np.maximum(grid[0] - s, s - grid[-1]).clip(0.0)[: b - a]
         ledger.check('path position against the path', outside, ROUND_TRIP, first=a)
         back = np.maximum(-np.diff(s), 0.0)
@@ -206,8 +206,8 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
         return
     # Before the first sample and after the last one the axes rest.
     speed = np.diff(held(s, a, b, 2, 2)) / plan.period
-    # Bounds of the speed in each inner period, from mean speeds in it and around. Between samples
-    # the speed may differ by what the jerk limits allow: it may even rest there and go on.
+    # Bounds of the speed in each inner period, from the mean speeds in and around it. Between
+    # samples the speed may differ as far as the jerk limits allow: it may even fall to 0.
     around = np.stack([speed[:-2], speed[1:-1], speed[2:]])
     spread = np.abs(np.diff(around, axis=0)).sum(axis=0)
     least, most = around.min(axis=0) - spread, around.max(axis=0) + spread

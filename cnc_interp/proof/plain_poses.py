@@ -47,8 +47,8 @@ _TURN = ('QX', 'QY', 'QZ', 'QW')
 def _pointing(turn: FloatArray) -> tuple[FloatArray, float]:
     """Return the tool axis and the spin [rad] of a quaternion x y z w.
 
-    It is a half turn about X, which makes Z of the TCP the tool axis, after the spin about part Z,
-    after the least turn that leads part Z to the tool axis.
+    The quaternion is a product: the least turn that leads part Z to the tool axis, times the spin
+    about part Z, times a half turn about X, after which Z of the TCP is the tool axis.
     """
     x, y, z, w = turn / np.linalg.norm(turn)
     # Times the inverse half turn about X: (x, y, z, w) becomes (w, z, -y, -x), up to its sign.

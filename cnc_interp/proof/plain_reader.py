@@ -230,7 +230,7 @@ class _State:
         self.mirrors: dict[int, float] = {}
         self.scales, self.about = np.ones(3), np.zeros(3)
         self.shift = np.zeros(3)  # by G52
-        # Where the tool tip is in the words that hold after a switch, only the first reader knows.
+        # After a switch of the tool-tip control, only the first reader knows where the tip is.
         self.unknown: set[str] = set()
 
     def refuse(self, word: str) -> ProgramError:
@@ -450,7 +450,7 @@ class _State:
         if not self.motion:
             raise self.refuse('axis words before G0 or G1')
         if self.last < 0 and (arc or (self.motion == '1' and not self.absolute)):
-            motion, self.motion = self.motion, '0'  # from where the tool stands
+            motion, self.motion = self.motion, '0'  # from the position of the tool
             self.add(0, None)
             self.motion = motion
         self.here, sweep = end, {'2': -1, '3': 1}.get(self.motion, 0)

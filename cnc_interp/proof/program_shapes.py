@@ -60,7 +60,7 @@ class ProgrammedAxes:
         last = np.array(blocks['rotary'], dtype=float)
         rows, length = np.arange(len(tip)), np.linalg.norm(tip - tip[before], axis=1)
         way = np.cumsum(length)
-        # The nearest row before and after that is not like this, and the way to it.
+        # The nearest other kind of row before and after, and the distance to it.
         at_start = np.maximum.accumulate(np.where(still, 0, rows))
         at_end = np.minimum.accumulate(np.where(still, len(tip) - 1, rows)[::-1])[::-1]
         follows = still & linear[at_start] & (way - length - way[at_start] <= JOINED)

@@ -100,7 +100,7 @@ class Proof:
         lines += [line for line in (self.beside, self.program) if line]
         verdict = f'proven as far as it goes: {self.until}' if self.until else 'proven'
         if self.failures:
-            # That a record is cut is no fault of what it holds.
+            # A cut record is not a fault of the motion that it contains.
             verdict = f'NOT proven, faults: {len(set(self.failures) - {self.until})}'
             if self.failures == (self.until,):
                 verdict = 'proven as far as the record goes, NOT to the end of the program'
@@ -113,10 +113,10 @@ class Ledger:
     def __init__(self, plan: PlanFiles, machine: Machine):
         self.plan, self.machine = plan, machine
         # Every quantity that was judged, by its name and axis, with the share that counts and
-        # whether it is told only if it fails; and every fault, a text or such a name, in order.
+        # whether only its failure is reported; and every fault, a text or such a name, in order.
         self._judged: dict[tuple[str, str], tuple[Finding, float, bool]] = {}
         self._faults: list[str | tuple[str, str]] = []
-        # Of a cut record nothing is known from here on: the next setpoints would tell.
+        # A cut record proves nothing from here on, because the next setpoints are missing.
         count, rows = len(plan.position), len(plan.blocks['tip'])
         self.known_samples = count - BEFORE_END if plan.cut and not plan.ends_at_rest else count
         self.known_rows = int(plan.block[count - 1]) if plan.cut and count else rows

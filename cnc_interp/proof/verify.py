@@ -132,7 +132,7 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     for k in back:
         rows = f'row {block[k]}, then {block[k + 1]}'
         ledger.fail(f'block order runs backwards at sample {k + 1}: {rows}')
-    # Rows at whose end the tool is already may be left out at the start.
+    # At the start, rows may be left out if the tool is already at their ends.
     tip, axis, contour, orientation = (
         plan.blocks[name][: max(block[0], 1)]
         for name in ('tip', 'axis', 'contour_tolerance', 'orientation_tolerance')
@@ -169,7 +169,7 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
 
 
 def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
-    # Given by poses, as a way at flank height.
+    # The spin that poses give, as an arc length at flank height.
     spin = plan.blocks['extra_axes'][:, len(program.machine.extra_names) :].ravel()
     way = program.path.way
     for a, b in spans(len(plan.position)):

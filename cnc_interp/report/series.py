@@ -123,7 +123,7 @@ def tool_errors(plan: PlanFiles, machine: Machine) -> tuple[ToolError, ToolError
 
 
 def tool_error_use(plan: PlanFiles, errors: tuple[ToolError, ToolError]) -> FloatArray | None:
-    """Return the error at the tool over the limit it was planned with, if there is one, (K,)."""
+    """Return the error at the tool over the planned limit, (K,); None without a limit."""
     asked: Any = plan.summary.get('tool_error')
     if not asked:
         return None

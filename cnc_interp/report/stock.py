@@ -18,7 +18,7 @@ def removal_rates(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
     """Return the middles of intervals of time [s], and the removal rate in each [m3/s]."""
     s, time = np.asarray(plan.setpoints['s']), np.asarray(plan.setpoints['time'])
     begin, end, removed = (np.asarray(plan.removal[key]) for key in ('begin', 'end', 'removed'))
-    here = end > s[0]  # what is before was cut before the start
+    here = end > s[0]  # earlier pieces were cut before the start
     sums = np.cumsum(removed[here])
     at = np.interp(np.column_stack([begin, end])[here], s, time).ravel()
     volume = np.column_stack([np.append(0.0, sums[:-1]), sums]).ravel()

@@ -20,10 +20,10 @@ from cnc_interp.run.course import STILL, Course, Leg
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Interpolator, Setpoints, Wait
 
 STOP_EVERY = 0.005  #: Time between setpoints at which a stop is searched [s].
-#: First part of a plan that joins in motion, and time between stops in it; it must be ready early
-#: [s].
+#: Length of the first part of a plan that joins in motion, which must be ready early, and time
+#: between stops in this part [s].
 HASTE, HASTY_EVERY = 0.3, 0.02
-#: Part of every limit that the way down leaves free, so that other laws exist beside it [-].
+#: Part of every limit that ``way_down`` leaves free, so that there is room for other laws [-].
 LEEWAY = 6e-3
 NO_SIGNALS = Signals()
 

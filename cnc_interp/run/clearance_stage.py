@@ -75,7 +75,7 @@ def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -
     names = [signal.name for signal in machine.signals.outputs]
     place = next((k for k, name in enumerate(names) if name in TOOL_OUTPUTS), -1)
 
-    known, tool = _changed(settings.setup), 0  # when the tool table was written that was read
+    known, tool = _changed(settings.setup), 0  # when the tool table that was read had been written
 
     def contact(positions: FloatArray) -> Callable[[FloatArray], ContactError] | None:
         nonlocal clearance, known, tool

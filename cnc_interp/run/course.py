@@ -103,7 +103,7 @@ class Course:
         passed = False
         for item in self.items:
             if isinstance(item, Wait):
-                # at the very place: only the end of the program still counts
+                # at this very place only the end of the program still matters
                 if passed or item is Wait.END:
                     rest.append(item)
             elif item.s[-1] > s + SAME:

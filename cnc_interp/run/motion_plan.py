@@ -105,7 +105,7 @@ class MotionPlan:
         share = self._stream.functions.feed_share(
             path.cell_block, settings.override, settings.spindle
         )
-        # No line of the program commands the ways by block 0: they follow the feed override, too.
+        # Approaches (block 0) are no lines of the program, but follow the feed override, too.
         ways = np.where(path.cell_block == 0, min(1.0, settings.override), 1.0)
         return feed_under(path, self._stream.limits, share, settings.rapid * ways)
 
@@ -254,7 +254,7 @@ class MotionStream:
                     plan.plan()
                 if not new.planner.stuck:
                     return plan
-        # Stop; then continue from rest, where no law with the new feed was found from the motion.
+        # No law with the new feed continues the current motion: stop, then continue from rest.
         new = Leg(self.limits, period, begun, (v, a))
         new.drive(stop, Wait.OVERRIDE if rests else Wait.NOTHING)
         todo = finely(self.course.after(float(stop.path.s[-1])))

@@ -67,7 +67,7 @@ class RestSections:
         if last > begin:
             self._parts.append(cut(path, begin, last))
             self._work += last - counted
-        # The newest part is kept: the part after it may begin with a rest.
+        # The newest part is kept, because the next part may begin with a rest.
         if self._work >= ENOUGH and len(self._parts) > 1:
             yield self._section(len(self._parts) - 1, rests=False)
 
@@ -171,11 +171,13 @@ def _send(answers: SimpleQueue[list[PlannedPiece] | Exception], results: Connect
 
 class ParallelPlanner:
     def __init__(self, planning: Planning, processes: int):
-        afresh = planning.tool is None  # after a rest; drives swing on
+        afresh = planning.tool is None  # after a rest, except for drives that swing on
         self._planning, self._most = planning, processes if afresh else 1
         self._sections = RestSections(afresh)
         self._processes: list[PlannerProcess] = []
-        self._given: deque[PlannerProcess] = deque()  # who has the sections, in order
+        self._given: deque[PlannerProcess] = (
+            deque()
+        )  # the processes that have the sections, in order
         self._moving: PlannerProcess | None = None  # it has the begin of a stretch
         self._time = 0.0
 
@@ -210,7 +212,7 @@ class ParallelPlanner:
     def _give(self, section: PathSection) -> None:
         """Give a section to the process with the begin of its stretch, or with the least work."""
         if not self._processes:
-            # All at once: a process that has threads already is no good parent.
+            # All are forked at once, because a process with threads must not fork.
             self._processes = [PlannerProcess(self._planning) for _ in range(self._most)]
         process = self._moving or min(self._processes, key=lambda one: one.waiting)
         process.give(section)

@@ -27,7 +27,7 @@ Made = TypeVar('Made')
 
 #: Number of blocks processed together; the samples of their corners take up to 3 MB.
 BATCH = 1024
-#: A stop, or lines instead of a curve, must save this part of the time of a way [-].
+#: A stop, or lines instead of a curve, must save this share of the time of an alternative [-].
 WORTH = 5e-5
 
 

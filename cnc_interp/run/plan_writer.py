@@ -204,7 +204,7 @@ class PlanWriter:
                 acted = np.searchsorted(blocks, self.functions.block)
             self._archives['functions'].append(self.functions.columns() | {'sample': acted})
         for name in SELDOM:
-            if not self._archives[name].used:  # those of another plan may be there
+            if not self._archives[name].used:  # files of another plan may be there
                 del self._archives[name]
                 (self._directory / f'{name}.npz').unlink(missing_ok=True)
         for name, archive in self._archives.items():

@@ -188,6 +188,6 @@ def _tool(functions: Functions, machine: Machine, change: int) -> int:
 
 def _operations(line: IntArray, names: Sequence[tuple[int, str]]) -> Iterator[tuple[int, str]]:
     """Yield the first row of each named operation; of several names the last is used."""
-    passed = np.maximum.accumulate(line)  # a line that comes again counts where it came first
+    passed = np.maximum.accumulate(line)  # a repeated line counts where it was executed first
     by_row = {int(np.searchsorted(passed, number)): name for number, name in names}
     yield from ((row, name) for row, name in by_row.items() if row < len(line))

@@ -67,7 +67,7 @@ class RunPlanner:
             machine.signals,
         )
         self._lines: dict[int, int] = {}
-        self._lines_left = 0  # when some were forgotten last
+        self._lines_left = 0  # when some were last dropped
         self._enough = round(JOIN_RESERVE / period)
         self._asks = asks
         #: Clearance check before planning; None without a scene.
@@ -121,7 +121,7 @@ class RunPlanner:
         there = evaluate(path, np.array([self._continue_at]))[0][0]
         away = np.abs(there - self._stands).max() > ON_PATH
         if away or self._asks:
-            self.stream.end_leg(Wait.APPROACH)  # the operator sees it before it begins
+            self.stream.end_leg(Wait.APPROACH)  # the operator sees the approach before it begins
         if away and (way := self._way(self._stands, there, inside=True)) is not None:
             self.stream.push(way)
             self.stream.end_leg(Wait.NOTHING)
@@ -164,7 +164,7 @@ class RunPlanner:
             self.stream.resume(s, settings)
             return
         inside = True
-        if self._starts is not None and s <= self._starts[0]:  # it was on the approach
+        if self._starts is not None and s <= self._starts[0]:  # the machine was on the approach
             (s, there), inside = self._starts, self._continue_at is not None
         if there is None:
             raise PlanningError('the position where the run continues is no longer known; reset')

@@ -259,7 +259,7 @@ class RunState:
         if self.state is State.JOGGING and following is State.IDLE:
             return RunState(following, self.reason)
         if self.state is State.JOGGING and event is Event.REFUSE:
-            return self  # the setpoints of another sender are none of its concern
+            return self  # setpoints of another sender do not concern the machine
         if event is Event.RESUME:
             return replace(self, start_wanted=self.may_resume)
         if event is Event.REPLAN:

@@ -59,10 +59,10 @@ class _Way(NamedTuple):
     """A way to follow the program up to the start or the end of a cut."""
 
     start: FloatArray  # (n,): joints at the first pose of the program [rad]
-    here: FloatArray  # (n,): joints where it has come to
+    here: FloatArray  # (n,): joints at its end so far
     time: float  # of the cuts so far [s]
     curves: tuple[FloatArray, ...]  # (8,): the septic of the spin on each cut
-    turning: float = 0.0  # least time in which the joints turn on the cut that comes [s]
+    turning: float = 0.0  # least time in which the joints turn on the next cut [s]
 
 
 class SpinSearch:
@@ -76,7 +76,7 @@ class SpinSearch:
         cutting = np.isfinite(self._segments.feed).any(axis=1)
         edges = np.flatnonzero(np.diff(cutting, prepend=False, append=False)).tolist()
         self._cuts = list(zip(edges[::2], edges[1::2], strict=True)) or [(0, n)]
-        # What is rapid before the first cut, and after the last one, has the spin of that cut.
+        # Rapid moves before the first cut and after the last cut have the spin of that cut.
         self._cuts[0] = 0, self._cuts[0][1]
         self._cuts[-1] = self._cuts[-1][0], n
         self._plans = self._furthest = 0

@@ -39,7 +39,7 @@ class StartPlace:
     line: int  #: Line of the first motion.
     s: float  #: Path length from the top of the program [m].
     position: FloatArray  #: (n_axes,): Nominal axis positions [m, rad].
-    sets: tuple[str, ...] = ()  #: Outputs that are set before the way there, as text.
+    sets: tuple[str, ...] = ()  #: Outputs that are set before the approach, as text.
 
     def after(self, functions: Functions, signals: Signals) -> StartPlace:
         """Return the start position, with the outputs that functions have set before it."""

@@ -45,7 +45,7 @@ START = BlockPace(3e-3, 1e-3, 1.0, True)  #: Start of the search.
 #: Steps of logarithms: difference, largest step, end.
 SLOPE_STEP, LARGEST_STEP, ENOUGH = 0.15, 0.7, 0.02
 STEPS = 4
-#: Rows of a part that a fit plans, of how many rows, and lines ignored at its ends.
+#: A fit plans this many rows out of this many, and ignores this many lines at the ends of a part.
 CHUNK, EVERY, MARGIN = 1200, 6000, 12
 PRIOR = 0.5  #: Prior standard deviation of a logarithm.
 HIDDEN = 0.8  #: A value counts as not shown above this share of that deviation.
@@ -175,7 +175,7 @@ def measured_velocities(program: TimedProgram, trace: Trace) -> FloatArray:
     step = np.diff(program.blocks.tip, axis=0, prepend=program.blocks.tip[:1])
     length = np.linalg.norm(step, axis=1)
     rows = program.blocks.rapid & (length > 0.0)
-    # Where a tool change ends is not known, nor where the program begins.
+    # Neither the end of a tool change nor the start of the program is known.
     rows &= ~np.isin(program.lines, program.switched) & (program.lines > program.first)
     share = np.zeros((int(program.lines[-1]) + 2, 3))
     share[program.lines[rows]] = np.abs(step[rows]) / length[rows, None]
@@ -195,7 +195,7 @@ class TracedRun:
     program: TimedProgram
     trace: Trace
     windows: IntArray  #: (w, 2): Events at which windows of plain motion begin and end.
-    #: (w,): What stands still in each window, by the machine file [s]; with cycle times alone.
+    #: (w,): Time at rest in each window, by the machine file [s]; only with cycle times.
     standing: FloatArray | None = None
 
     @staticmethod
@@ -274,7 +274,7 @@ class TracedRun:
             begin, end = np.searchsorted(line, [at, at + 1])
             known = end < len(line) and line[begin] == at
             if not known or not stops[: row + 1].any():
-                continue  # the first one may find its tool in the spindle
+                continue  # at the first change the tool may already be in the spindle
             yield 0, float(t[end] - t[begin])
             after = self.windows[self.windows[:, 0] >= end, 0]
             if len(after) and starts[row:].any():
@@ -326,7 +326,7 @@ class TimeFit:
         self._kept = [run.program.covers(run.trace.line[run.windows]) for run in runs]
         pairs = zip(runs, self._kept, strict=True)
         self._measured = np.concatenate([run.measured[kept] for run, kept in pairs])
-        # Each window stands for those of its run that are not planned.
+        # Each window also represents windows of its run that are not planned.
         stands = [np.full(kept.sum(), len(kept) / max(1, kept.sum())) for kept in self._kept]
         self._stands = np.concatenate(stands)
 
@@ -387,7 +387,7 @@ class TimeFit:
         spread = inverse @ (score.T @ score + (prior * PRIOR) ** 2 * np.eye(6)) @ inverse
         width = SIGMAS * np.sqrt(np.diag(spread))
         hidden = width > HIDDEN * SIGMAS * PRIOR
-        if hidden.any():  # they stay as they were, and the others follow
+        if hidden.any():  # these values stay unchanged, and the others are adjusted
             part = np.linalg.solve(inverse[np.ix_(hidden, hidden)], x[hidden])
             x = np.where(hidden, 0.0, x - inverse[:, hidden] @ part)
             width = np.where(hidden, np.inf, width)

@@ -23,11 +23,11 @@ from cnc_interp.core import FloatArray, IntArray, InterpError
 LINES, NUMBERS, FEEDS = 'time_s,block', 'time_s,number', 'time_s,feed_mm_per_s'
 BY_PROGRAM, BY_TOOL = 'program,time_s', 'program,tool,time_s'
 _NUMBER = re.compile(r'\s*(?:/\d?\s*)?N(\d+)', re.I)
-#: Observations of MTConnect that tell the line: that of the file, or its N word.
+#: Observations of MTConnect that give the line: its number in the file, or its N word.
 _LINE_ITEMS, _LABEL, _FEED = ('LineNumber', 'Line'), 'LineLabel', 'PathFeedrate'
 #: Signals of a Sinumerik: the line of the program, and the path feed [mm/min].
 _LINE_SIGNAL, _FEED_SIGNAL = 'linenumber', 'feedrateipo'
-_NOTHING = 9.2e18  #: From here on a value of a Sinumerik stands for none.
+_NOTHING = 9.2e18  #: From here on a value of a Sinumerik means that there is none.
 Rows = list[tuple[int, float, float]]  #: Line of the record, time [s], and value.
 
 

@@ -44,7 +44,7 @@ class LookAhead:
         if self._ratio is None and self._style.literal:
             self._ratio = PAPER_RATIO
         self._rows: Rows | None = None
-        # Corners that are made to be compared stay corners.
+        # Corners made for comparison stay corners.
         choice = None if settings.compares_corners else choice
         self._compressor = Compressor(settings, machine, choice, row, joined)
         stops = [] if stops is None else stops

@@ -12,7 +12,7 @@ from cnc_interp.settings.options import Settings
 #: A turn counts as the mean over this length before and after the middle of a block [m], in
 #: which at most so many blocks are considered on each side.
 REACH, NEAR = 1e-3, 8
-HELD = NEAR + 1  #: Rows that wait for those behind them, unless the tool rests between.
+HELD = NEAR + 1  #: Rows that wait for later rows, unless the tool rests between.
 KEPT = HELD + NEAR + 2  #: Rows that a pacer keeps: these, and those before them.
 
 

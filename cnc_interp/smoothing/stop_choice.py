@@ -34,7 +34,7 @@ from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import Skeleton
 from cnc_interp.smoothing.orientation import angles_between
 
-BEFORE, AFTER = 3, 6  #: Most lines before and after the corner that a way has.
+BEFORE, AFTER = 3, 6  #: Most lines of an alternative before and after its corner.
 #: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].
 FAST = 2.0 / MM
 SHARP = 160.0 * DEG  #: A corner is tried where the path turns more than this [rad].
@@ -60,7 +60,7 @@ def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> B
     found = np.zeros(len(rows), dtype=np.bool_)
     found[1:-1] = np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
     found[1:-1] |= turns_fast(rows.blocks, legs, height, machine)
-    # There may be thousands of pieces. Line numbers do not tell them: a loop repeats its lines.
+    # There may be thousands of pieces. Line numbers do not identify them, as loops repeat lines.
     found &= rows.blocks.corner != WITHIN_MOTION
     found[1:-1] |= dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
     plain = _plain(rows)

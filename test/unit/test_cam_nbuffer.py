@@ -157,7 +157,7 @@ def test_gouge_and_uncut_needles_are_told():
     assert found['lowest'] == pytest.approx(-30 * UM, abs=0.01 * UM)
     assert 0.2 < found['uncut'] < 0.9 and found['gouged'] > 0.0
     nothing = Heights(needles, np.full((1, 401), TOP))
-    with pytest.raises(InterpError, match='cuts nothing'):
+    with pytest.raises(InterpError, match='does not cut this surface'):
         nothing.statistics()
 
 

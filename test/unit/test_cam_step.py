@@ -699,7 +699,7 @@ def test_several_faces_in_one_program_spare_each_other(tmp_path, capsys):
         command[2] = str(tmp_path / name / 'program.mpf')
         code = main([*command, '--face', '2', '--margin', '0.2', '--spacing', '0.2', '--json'])
         out, err = capsys.readouterr()
-        assert code == FINE or 'cuts nothing' in err  # the wall may be out of reach altogether
+        assert code == FINE or 'does not cut' in err  # the wall may be out of reach altogether
         lowest[name] = json.loads(out)['programmed']['lowest'] if code == FINE else 1.0
     assert lowest['spared'] > -12e-6 and lowest['ignored'] < -0.3 * MM
 

@@ -209,7 +209,10 @@ def test_files_of_splines_and_grids_give_the_same_surface(tmp_path):
             },
             '2 knots in u for 4 control points of degree 3; there must be 8',
         ),
-        ({'kind': 'plane', 'size_mm': [9, 9], 'placement': [1]}, 'placement has rotation_deg'),
+        (
+            {'kind': 'plane', 'size_mm': [9, 9], 'placement': [1]},
+            'placement must have rotation_deg',
+        ),
     ],
 )
 def test_wrong_files_are_answered_with_file_and_key(contents, says, tmp_path):

@@ -132,7 +132,7 @@ def test_figures_of_parts_are_those_of_the_whole():
     assert sum(whole.classes.values()) == whole.cut == len(h)
     empty = Figures.of(np.full((4, 4), TOP))
     assert empty + whole == Figures(whole.needles + 16, *list(vars(whole).values())[1:])
-    with pytest.raises(InterpError, match='cuts nothing'):
+    with pytest.raises(InterpError, match='does not cut this surface'):
         _ = empty.mean
 
 

@@ -55,4 +55,4 @@ def test_what_is_no_motion_by_hand_is_found(follow):
     (fault,) = follow((PLANS[1], rows([2.2, 2.6], [0.0, 0.0], 7)))
     assert 'differs from the setpoint sent' in fault
     (fault,) = follow((PLANS[1], moving), (PLANS[2], rows([2.0, 2.5], [0.0, 0.0], 7)))
-    assert 'was left in motion' in fault
+    assert 'the machine left it in motion' in fault

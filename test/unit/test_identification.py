@@ -93,7 +93,7 @@ def test_an_axis_without_a_load_is_fitted_without_friction():
 def test_an_axis_that_stands_or_never_turns_is_not_fitted():
     q, rate = excited()
     assert identify_axis(TIRED, 1, 1e-3, q, rate, q) is None
-    with pytest.raises(InterpError, match='X turned less than 3 times'):
+    with pytest.raises(InterpError, match='X reversed less than 3 times'):
         identify_axis(TIRED, 0, 1e-3, q[:300], rate[:300], q[:300])
 
 

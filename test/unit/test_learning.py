@@ -228,7 +228,7 @@ def test_a_file_is_read_back_and_one_for_something_else_is_refused(tmp_path):
     other = tmp_path / 'other.yaml'
     other.write_text(find_machine_file('xyzac_tired').read_text() + '\n# changed\n')
     for told, match in (
-        (('xyzac_tired', '', T), 'name the model with --compensate'),
+        (('xyzac_tired', '', T), 'name its model with --compensate'),
         (('xyzac_tired', str(other), T), 'with another model than'),
         ((str(other), 'xyzac_tired', T), 'on another machine than'),
         (('xyz', 'xyzac_tired', T), 'on another machine than'),

@@ -103,7 +103,7 @@ def test_command_writes_paths_and_scores_files(tmp_path, capsys):
     assert "no problem 'no such'" in capsys.readouterr().err
     (tmp_path / 'no such.npz').write_text('x')
     assert main(['problems', '--score', str(tmp_path)]) == 2
-    assert 'is no motion, position at each period' in capsys.readouterr().err
+    assert 'is not a motion (a position for each period)' in capsys.readouterr().err
 
 
 @pytest.mark.thorough

@@ -44,7 +44,7 @@ def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
     assert sweep(out, *words, '--', 'plan', program, WIDE) == FINE
     said = capsys.readouterr().out
     rows = list(csv.DictReader((out / 'sweep.csv').open()))
-    assert len(rows) == 7 and 'points         7, 5 of them move' in said
+    assert len(rows) == 7 and 'points         7, 5 of them give a motion' in said
     assert '-3 mm is not between' in said and ' (2 points)\n' in said
     refused = [row for row in rows if row['fault']]
     assert {row['contour-tolerance'] for row in refused} == {'-3'}

@@ -37,7 +37,7 @@ def acting(
 
 
 class Functions(Table):
-    #: Row of the block at whose begin it acts; the number of rows means the end of the program.
+    #: Row of the block at whose start it acts; the number of rows means the end of the program.
     block: IntArray = column()
     line_number: IntArray = column()  #: Line of the program text.
     step: IntArray = column()  #: Number in ``Signals.steps`` of the machine.
@@ -110,7 +110,7 @@ class Functions(Table):
         last = {output: at for at, outputs in enumerate(sets) for output in outputs}
         places: dict[int, int] = {}
         for at in sorted(set(last.values())):
-            # S comes before M3, though it was changed after it: where the word stood at first.
+            # Words keep their first place: S stays before M3 even if S was changed after M3.
             bound = max((k for k in places if sets[k] & sets[at]), default=-1)
             places[at] = words.index(words[at], bound + 1)
         rows = [k for at in sorted(places, key=lambda at: places[at]) for k in calls[at]]

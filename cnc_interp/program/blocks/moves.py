@@ -34,7 +34,7 @@ class Preceding(NamedTuple):
     """Relevant properties of the motions before the first one."""
 
     dense: int = 0  #: Number of dense motions at their end, as far as relevant.
-    led: bool = False  #: Whether words rule the rotary axes in the last one.
+    led: bool = False  #: Whether rotary words determine the rotary axes in the last one.
     since_arc: int = BESIDE_ARC  #: Number of motions since an arc, as far as relevant.
 
 
@@ -66,7 +66,7 @@ class Moves:
         self._along = col.extra_directions(geometry.machine)
         self._start = self._starts()
         self._arc = np.isfinite(rows[:, col.SWEEP])
-        # Of a tool whose length turns with it, the programmed tip moves on lines and arcs.
+        # If the tool length turns with the tool, the programmed tip moves on lines and arcs.
         self._length = rows[:, col.LENGTH]
         self._turns_length = self._length != 0.0
         self._turns_length &= np.abs(rows[:, col.AXIS] - self.axis_before).max(axis=1) > SAME

@@ -52,7 +52,7 @@ _LONGEST_TURN = 8.0 * 360.0 * DEG
 class ProgramChange:
     change: SetupChange  #: The change.
     line_number: int  #: Line of the program.
-    #: Row of the blocks before which it happens; the number of rows after the last one.
+    #: Row of the blocks before which it happens; after the last block, the number of rows.
     block: int
 
 
@@ -78,7 +78,7 @@ class TargetColumns:
         self.waits_first = False  # for the operator, before the first motion
         self._parts: list[Blocks] = []
         self._tip: FloatArray | None = None  # where the last block ends
-        # What the program lasts so far, and its slowest block with its line [s].
+        # Time of the program so far, and its slowest block with its line [s].
         self._lasts, self._slowest = 0.0, (0.0, 0)
         self.start = StartLine(settings.from_line, settings.line_pass, source)
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known

@@ -13,7 +13,10 @@ from cnc_interp.program.text.control_traits import FANUC
 from cnc_interp.program.text.expressions import ExpressionError
 from cnc_interp.program.text.words import BlockWords
 
-ALARM, STOP = 3000, 3006  #: Set by a macro: an alarm with its text, and a stop.
+ALARM, STOP = (
+    3000,
+    3006,
+)  #: Variables that a macro sets to raise an alarm with its text, or to stop.
 IDLE = {
     3001,
     3002,

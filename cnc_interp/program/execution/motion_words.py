@@ -67,7 +67,7 @@ def thread(at: Execution, code: str, words: BlockWords) -> None:
     if code == 'G32' and (way := np.abs(target - mover.point)).any():
         pitch *= float(np.linalg.norm(way)) / way.max()  # F counts along the longest axis
     mover.in_step(code, target, pitch, code == 'G33.1')
-    mover.motion = None  # it holds on controls; here each line says it again
+    mover.motion = None  # modal on controls; here each line must repeat it
 
 
 def probe(at: Execution, code: str, words: BlockWords) -> None:
@@ -75,7 +75,7 @@ def probe(at: Execution, code: str, words: BlockWords) -> None:
     mover = at.mover
     at.refuse_if(
         at.targets.start.line and not at.targets.start.passes,
-        'the line of the start comes after a probe; start at the top',
+        'the start line comes after a probe; start at the top',
         code,
     )
     point = probing.target_of(code, words, mover, at.signals)
@@ -104,7 +104,7 @@ def spline(at: Execution, code: str, words: BlockWords) -> None:
         raise at.fault('a spline needs G40, G15 and G80 before it', code)
     at.splines.end()
     mover.end_corner()
-    mover.motion = None  # it holds on LinuxCNC; here each line says it again
+    mover.motion = None  # modal on LinuxCNC; here each line must repeat it
     bezier.go_along(mover, code, words)
 
 

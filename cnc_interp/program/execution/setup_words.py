@@ -159,7 +159,7 @@ def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> N
         elif kind == 11:
             length = float(mover.point[2] - frames.work('G59.3')[2]) - length
     at.demand(not given, 'a tool has a length (Z) and a radius (R) only', f'G10 L{kind}')
-    wear = tool.length_wear if kind == 1 else 0.0  # it was measured as it cuts
+    wear = tool.length_wear if kind == 1 else 0.0  # the measured length includes the wear
     measured = replace(tool, length=length, radius=radius, length_wear=wear)
     if measured.corner_radius is not None and measured.corner_radius > radius:
         raise at.fault(

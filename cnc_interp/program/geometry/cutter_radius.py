@@ -31,8 +31,8 @@ COMPARED = 60
 #: Largest number of leads before and after a loop; largest gap at which a loop closes, and length
 #: of the shortest loop [m].
 LEADS, CLOSED, SHORTEST_LOOP = 4, 0.01 * MM, 0.1 * MM
-#: Offsets that do not meet at a smaller inner turn are joined as they are; at a turn that lacks
-#: less of half a turn the tool goes about the vertex [rad].
+#: At inner turns below this angle, offsets that do not meet are joined as they are. At turns
+#: within this angle of half a turn, the tool rolls about the vertex [rad].
 NEARLY_SMOOTH = 0.05
 #: Shares of an element at which its distance from others is compared.
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -322,7 +322,7 @@ class CutterRadius:
             around = self._row_of(about, ready[-1])
             if isfinite(row[col.FEEDRATE]):
                 around[col.FEEDRATE] = row[col.FEEDRATE]  # F of the element after the corner
-            # Nobody waits at its end.
+            # The program does not wait at its end.
             around[col.EXACT_STOP] = float(ready[-1][col.EXACT_STOP] == 1.0)
             ready.append(around)
             self._last = offset

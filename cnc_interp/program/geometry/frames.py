@@ -62,7 +62,7 @@ class Frames:
     def work_change(
         self, index: int, words: dict[int, float], here: Vector | None, angle: float | None = None
     ) -> SetupChange:
-        """Return the change by G10 L2, or by L20 (``here``), which sets coordinates to words."""
+        """Return the change by G10 L2, or L20, after which ``here`` has the given coordinates."""
         name = WORK_OFFSETS[index - 1] if index else self._setup.offset
         position = dict(self._setup.work_offsets.get(name, {}))
         if angle is not None:
@@ -127,7 +127,7 @@ class Frames:
     def coordinates(self, offset: str, of_tip: bool, rotary: int) -> ProgramCoordinates:
         """Return the coordinates in effect, for a number of rotary axes."""
         if self.scales:
-            return ProgramCoordinates()  # they do not count mirrored or scaled axes
+            return ProgramCoordinates()  # program coordinates do not cover mirrored or scaled axes
         name = ' + '.join((offset, *self.shifts)) + (', tool tip' if of_tip else '')
         origin = self.origin - self.length * self.along, self.rotary_origin[:rotary]
         turn = tuple(self.turn.ravel().tolist())

@@ -151,7 +151,7 @@ class ModalState(ModalValues):
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
         self.told_feed_of_turns = False
-        #: The way that a spline G5 without I J begins with, and where the one before ended [m].
+        #: Vector with which a spline G5 without I J begins, and end of the spline before it [m].
         self.spline_goes_on = np.full((2, 3), nan)
         #: Letters of axes that words have named since the last rejected line.
         self.placed: set[str] = set()

@@ -137,7 +137,7 @@ class Mover(ArcTargets):
         room = ((np.where(along > 0.0, high, low) - q) / np.where(moves, along, nan))[moves].min()
         if distance is None and not room < inf:
             raise self.fault(
-                'the machine file has no travel that would end it; write M140 MB 50', 'MB MAX'
+                'no travel in the machine file limits the retract; write M140 MB 50', 'MB MAX'
             )
         distance = max(room - _SHORT, 0.0) if distance is None else distance
         point = self.point + distance * (along if self.by_axes else self.tool_axis)

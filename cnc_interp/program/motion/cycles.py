@@ -74,7 +74,7 @@ def pecks_of(
     fault: Callable[[str], ProgramError],
     then: Callable[[float, float], float] | None = None,
 ) -> list[float]:
-    """Return the levels of pecks [m]; ``then``: from last stroke and rest to the next stroke."""
+    """Return the levels of pecks [m]; ``then``: next stroke, given the last one and the rest."""
     depth, done, stroke, levels = top - bottom, first, first, list[float]()
     while depth - done > _NOTHING:
         levels.append(top - done)
@@ -412,7 +412,7 @@ class SiemensCycle:
                 stroke = max(stroke * -less, least, 1e-6)
             stroke = max(stroke, least)
             if less > 0.0 and stroke < left < 2.0 * stroke:
-                return 0.5 * left  # the last two strokes are alike
+                return 0.5 * left  # the last two strokes are equal
             return min(stroke, left)
 
         return pecks_of(

@@ -350,8 +350,8 @@ class ClReader:
         elif self._frames.enter(system):
             self._notice(
                 f'WARNING: {said.major}',
-                'points of another coordinate system are taken '
-                'into the first one; the part must stay clamped',
+                'points of another coordinate system are converted '
+                'to the first one; the part must stay clamped',
             )
 
     def _cut_into(self, said: Statement) -> None:
@@ -375,7 +375,7 @@ class ClReader:
         words, given = cl_words.machine_words(major, minor)
         self._demand(
             not (self._has_macro and 'M6' in words),
-            'CL data calls no subprogram, which M6 is on this machine; post it as G-code',
+            'M6 calls a subprogram on this machine, which CL data cannot do; post it as G-code',
             major,
         )
         if not words or not set(words) <= self._signals.words.keys() | {'T'}:

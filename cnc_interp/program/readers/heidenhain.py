@@ -202,7 +202,7 @@ class HeidenhainReader(ProgramReader):
         self.execute(BlockWords(m=['M129' if match[1] else 'M128']))
 
     def _corner(self, match: re.Match[str]) -> None:
-        # The line before has looked for it.
+        # The previous line has already read it.
         self.demand(
             self.mover.held is not None,
             'belongs between two lines, L or LP, in the plane',

@@ -26,7 +26,7 @@ class ProgramReader(ABC):
         self.fault, self.demand, self.refuse_if = at.fault, at.demand, at.refuse_if
         self.notice = at.notice
         self.of_macro: ProgramReader | None = None  # of the macro of M6, if it is another one
-        self.in_flow = False  # whether a refusal leaves it open which line is the next
+        self.in_flow = False  # whether a refused line may have chosen the next line
 
     @abstractmethod
     def read_line(self, raw: str) -> None:
@@ -70,7 +70,7 @@ class ProgramReader(ABC):
                 self.in_flow = False
                 self._next_lines(together=not refused)
             except ProgramError as problem:
-                if self.in_flow:  # what follows may not be what would be executed
+                if self.in_flow:  # the following lines may not be executed
                     refused.add(problem, ends=True)
                     raise refused.error() from None
                 refused.add(problem)

@@ -99,12 +99,12 @@ _COMMENT = re.compile(
     re.I,
 )
 
-#: Lines that only have words of all controls; each is replaced by a sign, so lines keep numbers.
+#: Lines with only words that all controls share; a mark replaces each, so that lines keep numbers.
 _COMMON = re.compile(
     r'^[ \t]*(?:(?:G\d\d?(?![\d.])|[A-FH-NR-Z][ \t]*[-+]?[\d.]+)[ \t\r]*)+$', re.M
 )
 _HEAD_LINES = 2000
-#: Begin of the first line with words, in each form.
+#: Start of the first line with words, in each form.
 _FORMS = {
     'heidenhain': re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.I),
     'cl': re.compile(

@@ -145,7 +145,7 @@ class Cursor:
             [(loop.begin, loop.rounds) for loop in self.loops],
             [(call.line, call.rounds) for call in self._calls],
         )
-        # Brent's search for a cycle: what comes back to a state that it had goes on for ever.
+        # Brent's search for a cycle: a program that returns to an earlier state never ends.
         if control == self._seen[0] and self.variables.stands_as(self._seen[1]):
             why = 'this loop does not end, because nothing changes in it'
             raise self.fault(f'{why}; correct its condition')

@@ -177,7 +177,7 @@ def _value(node: Node, variables: ProgramVariables) -> float:
     if operator == '/' and left[0] == 'call' and left[1] == 'ATAN' and right[0] == 'group':
         return _arc_tangent(_value(left[2], variables), _value(right, variables))
     if operator.split()[0] in _EQUAL and NOTHING in (left, right):
-        # Fanuc: #0 is equal to what has no value, and to nothing else.
+        # Fanuc: #0 equals only a variable without a value.
         other = right if left == NOTHING else left
         vacant = other[0] == 'parameter' and other[1][0] != 'own_name'
         vacant = vacant and variables.is_vacant(parameter_index(other[1], variables))

@@ -160,7 +160,7 @@ def _scanned(place: LineStart, text: bytes) -> LineWindow:
     )
 
 
-#: Lines in which the beginning of a program is sought.
+#: Number of lines in which the beginning of a program is searched.
 _HEAD_LINES = 200
 _WORD = re.compile(r'\s*(?:/\s*)?(?:[GMXYZNTSF]\s*[-+.\d#\[=]|[:O]\s*\d|[(;]|$)', re.IGNORECASE)
 _NAME = re.compile(

@@ -40,7 +40,7 @@ _TRAFO = re.compile(r'#\s*TRAFO\b')
 _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
 #: Functions that qualify an axis word: absolute, incremental, or direction of turn.
 WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
-# X1E-3 could be a small number, or X1 with a word of an extruder, which stands alone.
+# X1E-3 could be a small number, or X1 and a separate word E of an extruder.
 _EXPONENT = re.compile(r'(?:(?<![A-Z_<"])[A-Z](?:\s*=)?\s*|(?<![\w.<"]))[-+]?([\d.]+E[-+]?\d+)')
 # A name of several letters before a parenthesis, but not a word with a number as in M6(TOOL 3).
 _GROUP_BEFORE = re.compile(

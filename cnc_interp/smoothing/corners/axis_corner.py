@@ -42,7 +42,7 @@ class AxisLegs:
     #: (n,): Whether the rotary axes run linearly, and whether X Y Z do so, too.
     linear: BoolArray
     in_axes: BoolArray
-    #: (n, 5 + k): Coordinates at the start of linear blocks, and what they move by [m, rad].
+    #: (n, 5 + k): Coordinates at the start of linear blocks, and their change along them [m, rad].
     start: FloatArray
     step: FloatArray
     length: FloatArray  #: (n,): Length of linear blocks [m].
@@ -90,8 +90,7 @@ class AxisCorners:
     joined: BoolArray
     in_axes: BoolArray  #: (n,): Whether the coordinates are machine axes.
     point: FloatArray  #: (n, 5 + k): Coordinates of the corners [m, rad].
-    #: (n, 2, 5 + k): What they move by per metre from the corner along the lines before and after
-    #: it.
+    #: (n, 2, 5 + k): Their change per metre from the corner along the lines before and after it.
     legs: FloatArray
     tolerances: FloatArray  #: (n, 2): Contour and orientation tolerance [m].
     #: (n, 2, 2): Distance of the tip and of the top point from both rotary axes [m]; 0 with tips.
@@ -187,7 +186,7 @@ class AxisCorners:
             wide = use > corner_curve.USED_UP
             if not wide.any():
                 return inner, outer, deviation
-            # Less of L1 reduces the deviation at least by its square root where L2 stays.
+            # With the same L2, a smaller L1 reduces the deviation at least by its square root.
             inner = np.where(wide, inner * np.clip(0.999 / use, 0.05, 0.999), inner)
             if ratios is not None:
                 outer = np.minimum(outer, ratios * inner[:, None])

@@ -59,7 +59,7 @@ class Corners(Table):
     #: Rotation vector per metre of path on the lines before and after [rad/m].
     rates: FloatArray = column(2, 3)
     tolerances: FloatArray = column(2)  #: Contour and orientation tolerance [m].
-    #: What the extra axes move by per metre of path on the lines before and after [-].
+    #: Motion of the extra axes per metre of path on the lines before and after [-].
     extra_rates: FloatArray = column(2, 'k', default=0.0)
     #: Whether the tool axis may pass the pole within the tolerance.
     near_pole: BoolArray = column(default=False)

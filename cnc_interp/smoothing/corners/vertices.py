@@ -33,7 +33,7 @@ class Legs:
     turn: FloatArray  #: (n,): Angle of this rotation [rad].
     rate: FloatArray  #: (n, 3): Rotation vector per metre of path [rad/m].
     resting: BoolArray  #: (n,): Whether the tip rests.
-    extra_step: FloatArray  #: (n, k): What the extra axes move by over the block [m].
+    extra_step: FloatArray  #: (n, k): Motion of the extra axes over the block [m].
     extra_rate: FloatArray  #: (n, k): The same per metre of path [-].
     #: Blocks whose rotary axes run linearly. Their ``length`` is that of the coordinates, the tool
     #: axis does not count as turning, and nothing rests. None without such blocks.

@@ -43,7 +43,7 @@ def settled(blocks: Blocks, before: Blocks, height: float) -> Blocks:
     """
     rows = Blocks.concatenate([before, blocks])
     still = np.append(False, way_between(rows[:-1], rows[1:], height) < STANDSTILL)
-    # The first control point of a spline is where the tool is; the others are no ends.
+    # The first control point of a spline is the tool's position; the others are not end poses.
     still[1:] &= ~(rows.on_spline[1:] & rows.on_spline[:-1])
     ends = {name: getattr(rows, name).copy() for name in ('tip', 'axis', 'extra', 'rotary')}
     tolerances = {name: getattr(rows, name).copy() for name in TOLERANCES}
@@ -79,7 +79,9 @@ class Spans(Table):
     line_number: IntArray = column()  #: Program line in the middle of the second half.
     #: Bounds of contour and orientation deviation from the program [m].
     deviation: FloatArray = column(2)
-    room: FloatArray = column()  #: What the deviation leaves of the orientation tolerance [m].
+    room: FloatArray = (
+        column()
+    )  #: Part of the orientation tolerance that the deviation leaves [m].
 
 
 class Rows(Table):

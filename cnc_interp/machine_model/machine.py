@@ -378,7 +378,7 @@ ARM_ENTRIES = (
 def _arm(content: dict[str, Any], folder: Path) -> Machine:
     entries.require_known(content, ARM_ENTRIES, 'arm')
     found, limits = arm(content, folder)
-    cone = content.get('singular_cone_deg', 1.0)
+    cone = content.get('singular_cone_deg', 0.2)
     shape = entries.linear_geometry({})
     shape['singular_cone'] = entries.number(cone, 'singular_cone_deg', 1e-2, 30.0) * DEG
     return Machine(

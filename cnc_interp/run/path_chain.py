@@ -71,9 +71,9 @@ class PathChain:
         spun: tuple[Transform, FloatArray] | None = None,
         stands: FloatArray | None = None,
     ):
-        self._smoother = smoother_of(transform, settings)
         height, period = settings.flank_height, settings.interpolation_period
         leads, spins = spun or (transform, None)
+        self._smoother = smoother_of(leads, settings)
         self._builder = AxisPathBuilder(leads, height, period, spins, stands)
         self._watch = watch or Stopwatch()
 

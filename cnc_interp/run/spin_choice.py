@@ -67,7 +67,7 @@ class _Way(NamedTuple):
 
 class SpinSearch:
     def __init__(self, chain: JointChain, settings: Settings, blocks: Blocks):
-        self._chain, self._settings = chain, settings
+        self._chain, self._settings, self._blocks = chain, settings, blocks
         self._segments = segments_of(blocks, chain, settings)
         self._limits = limits_at(chain.machine, settings.interpolation_period)
         n, height = len(self._segments), settings.flank_height
@@ -87,16 +87,33 @@ class SpinSearch:
         ways = [_Way(nothing, nothing, 0.0, ())]
         for number in range(len(self._cuts)):
             ways = self._further(ways, number)
-        curves, tried = ways[0].curves, self._plans
+        search, way = self._smoothed(ways)
+        curves, tried = way.curves, self._plans
         text = f'{len(curves)} spins, one for each cut'
         if len(curves) == 1:
             text = f'spin {curves[0][0] / DEG:g} deg'
         text += f', the fastest of {tried} ways that were planned'
         if self._settings.spin == 'best':
-            curves, saved = self._bent(ways[0])
+            curves, saved = search._bent(way)
             text += f'; bending it saves {saved:.1%} of the time'
-        chain = self._chain.spun(float(curves[0][0])).starting(ways[0].start)
-        return SpinChoice(chain, self._rows(curves), text)
+        return SpinChoice(search._chain, search._rows(curves), text)
+
+    def _smoothed(self, ways: list[_Way]) -> tuple[SpinSearch, _Way]:
+        """Return the fastest of some ways, each smoothed as a plan with its own spin is.
+
+        The spin may decide at which corners a stop is faster than rounding.
+        """
+        found = []
+        for way in ways:
+            chain = self._chain.spun(float(way.curves[0][0])).starting(way.start)
+            found.append((SpinSearch(chain, self._settings, self._blocks), way))
+        bottom = self._segments.bottom
+        if all(np.array_equal(search._segments.bottom, bottom) for search, _ in found):
+            return found[0]
+        return min(
+            found,
+            key=lambda one: one[0]._time_of(one[1].curves, one[1].start, 0, len(one[0]._segments)),
+        )
 
     def _further(self, ways: list[_Way], number: int) -> list[_Way]:
         """Return the ways that continue to the end of a cut, the fastest first."""
@@ -118,24 +135,29 @@ class SpinSearch:
 
     def _planned(self, ways: list[_Way], number: int, avoids: bool) -> list[_Way]:
         """Return the fastest continuations; with ``avoids``, away from singular poses."""
-        first, last = self._cuts[number]
-        best, spins = dict[int, _Way](), [self._chain.spin]
+        begun, spins = dict[int, list[_Way]](), [self._chain.spin]
         spins += [float(spin) for spin in SPINS if abs(spin - self._chain.spin) > SAME]
-        for way in ways:
-            for count, spin in enumerate(spins):
-                for begun in self._begun(way, spin, number, avoids):
-                    before = best.setdefault(count, begun)
-                    if begun.time + begun.turning < before.time + before.turning:
-                        best[count] = begun
-        some = sorted(best.items(), key=lambda one: (one[0] % EVERY > 0, one[1].turning))
-        done = list[_Way]()
-        for _, way in some[: sum(count % EVERY == 0 for count in best) + OTHERS]:
-            rows = self._rows(way.curves)[first:last]
-            path = self._follow(rows, way.here, first, last)
-            if path is not None:
-                time = way.time + self._time(path)
-                done.append(way._replace(here=path.cell_right[0, -1].copy(), time=time))
-        return sorted((way for way in done if way.time < inf), key=lambda way: way.time)[:KEPT]
+        for count, spin in enumerate(spins):
+            some = [each for way in ways for each in self._begun(way, spin, number, avoids)]
+            if some:
+                begun[count] = sorted(some, key=lambda way: way.time + way.turning)
+        order = sorted(begun, key=lambda count: (count % EVERY > 0, begun[count][0].turning))
+        tried = order[: sum(count % EVERY == 0 for count in begun) + OTHERS]
+        done = {count: self._executed(begun[count][0], number) for count in tried}
+        fastest = min(done, key=lambda count: done[count].time, default=None)
+        # Other configurations, and other ways to this cut, with the fastest spin.
+        others = begun[fastest][1:] if fastest is not None else []
+        found = [*done.values(), *(self._executed(way, number) for way in others)]
+        return sorted((way for way in found if way.time < inf), key=lambda way: way.time)[:KEPT]
+
+    def _executed(self, way: _Way, number: int) -> _Way:
+        """Return a way at the end of a cut; its time is infinite if it cannot be planned."""
+        first, last = self._cuts[number]
+        path = self._follow(self._rows(way.curves)[first:last], way.here, first, last)
+        if path is None:
+            return way._replace(time=inf)
+        here = path.cell_right[0, -1].copy()
+        return way._replace(here=here, time=way.time + self._time(path))
 
     def _begun(self, way: _Way, spin: float, number: int, avoids: bool) -> Iterator[_Way]:
         """Yield the ways to the start of a cut from which a constant spin can follow it."""

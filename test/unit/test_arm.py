@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -229,10 +230,14 @@ def test_a_joint_leads_past_a_singular_pose_without_a_stop(tmp_path):
     [
         ((-0.2226591, 0.7850721, -0.9200657, 3.0341562, -0.1969919, -2.0361198), (466, 376, 36)),
         ((0.5674224, 0.0313211, -0.1227815, -1.1538698, -0.2503881, 1.2844783), (233, -517, -195)),
+        ((0.4796118, 0.240914, -0.4634033, -3.1354665, -0.2860105, 1.2878671), (-160, -84, 984)),
     ],
 )
 def test_a_long_line_through_the_wrist_is_passed_without_a_stop(start, way):
-    """Newton's method found another branch at the far end of a cell, and the line was refused."""
+    """Newton's method found another branch at the far end of a cell, and the line was refused.
+
+    In the third line J5 comes within 0.1 deg of zero and returns.
+    """
     machine = Machine.load('m710ic_50')
     last, lean = machine.arm.lines[-1], np.pi / 4.0
     across = np.cross(last[:3], [0.0, 1.0, 0.3])
@@ -443,6 +448,22 @@ def test_the_spin_changes_between_cuts_only(tmp_path, monkeypatch):
         cut = np.isin(rows[columns['block']], lines)
         assert cut.any()
         assert np.abs(spins[cut] - spin).max() < 1e-6
+
+
+@pytest.mark.thorough
+def test_no_constant_spin_is_faster_than_the_chosen_one(tmp_path):
+    """The spin decides at which corners of these lines a stop is faster than rounding."""
+    random = np.random.default_rng(1190000)
+    tips, leans = random.uniform(-50.0, 50.0, (8, 3)), random.uniform(-0.25, 0.25, (8, 2))
+    axes = np.hstack([leans, np.ones((8, 1))])
+    rows = np.hstack([tips * [1.0, 1.0, 0.4], axes / np.linalg.norm(axes, axis=1)[:, None]])
+    lines = [f'GOTO/{",".join(f"{value:.9f}" for value in row)}' for row in rows]
+    text, machine = '\n'.join(['FEDRAT/3000', *lines, 'FINI']), Machine.load('m710ic_50')
+    chosen = planned(text, tmp_path, machine, spin='auto')['cycle_time']
+    for spin in np.radians(np.arange(0, 360, 45)):
+        turned = replace(machine, arm=replace(machine.arm, spin=spin))
+        with suppress(BlockError):
+            assert chosen <= (1.0 + 1e-6) * planned(text, tmp_path, turned)['cycle_time']
 
 
 @pytest.mark.thorough

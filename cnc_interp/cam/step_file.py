@@ -152,7 +152,10 @@ class StepFace:
         if self.kind in ANALYTIC:
             return np.asarray(guess)
         u, v, away = surface.project(self.points(uv), guess[:, 0], guess[:, 1])
-        demand(np.all(np.abs(away) < ON_BORDER), 'the boundary does not lie on the surface')
+        demand(
+            np.all(np.abs(away) < ON_BORDER),
+            'the boundary is not on the surface; repair the face in the CAD system',
+        )
         return np.stack([u, v], axis=1)
 
     def _analytic(self) -> Surface:
@@ -194,7 +197,8 @@ class StepFace:
         u0, u1, v0, v1 = self.bounds
         # Either kind of parameter: 1e-7 mm or 1e-7 rad.
         demand(
-            u1 - u0 >= 1e-7 and v1 - v0 >= 1e-7, 'the boundary spans no rectangle of parameters'
+            u1 - u0 >= 1e-7 and v1 - v0 >= 1e-7,
+            'the face has no width in u or v; remove it in the CAD system',
         )
         round_u, round_v = self.geometry.IsUPeriodic(), self.geometry.IsVPeriodic()
         refuse_if(
@@ -341,15 +345,16 @@ def _faces(path: Path, note: Callable[[str], None]) -> list[StepFace]:
     reader = STEPControl_Reader()
     demand(
         reader.ReadFile(str(path)) == IFSelect_ReturnStatus.IFSelect_RetDone,
-        f'{path}: is not a complete STEP file',
+        f'{path}: is not a complete STEP file; export it again',
     )
     if faults := _faults(reader, reader.WS().ModelCheckList(True)):
         raise SurfaceError(f'{path}: {faults[0]}')
     lengths = Names()
     reader.FileUnits(lengths, Names(), Names())
-    demand(reader.TransferRoots() != 0, f'{path}: holds no shape of a product')
+    demand(reader.TransferRoots() != 0, f'{path}: holds no shape of a product; export it again')
     demand(
-        all(name.ToCString() for name in lengths), f'{path}: has no unit of length (LENGTH_UNIT)'
+        all(name.ToCString() for name in lengths),
+        f'{path}: has no unit of length (LENGTH_UNIT); export it again',
     )
     faults = _faults(reader, reader.WS().TransferReader().LastCheckList())
     found: dict[Any, Any] = {}

@@ -191,7 +191,8 @@ def _rotary_words(blocks: Blocks, transform: FiveAxis) -> FloatArray:
             choices = transform.branches(axis, here, free)
             if not choices:
                 raise BlockError(
-                    f'machine {transform.machine.name} cannot reach the tool axis',
+                    f'machine {transform.machine.name} cannot reach the tool axis; choose another '
+                    'machine',
                     int(blocks.line_number[i]),
                 )
             here = min(choices, key=lambda pair: float(np.abs(pair - here).sum()))

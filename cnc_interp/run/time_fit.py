@@ -211,7 +211,9 @@ class TracedRun:
                 windows.append((first, event))
                 first = event
         if not windows:
-            raise InterpError(f'{trace.name}: no {SPAN:g} s of motion in which no function acts')
+            raise InterpError(
+                f'{trace.name}: no {SPAN:g} s of motion without a function; take another'
+            )
         return TracedRun(program, trace, np.array(windows))
 
     @staticmethod

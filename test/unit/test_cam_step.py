@@ -544,7 +544,7 @@ def whole_cylinder(part):
     ('make', 'says'),
     [
         (offset_plane, 'offset surface is not supported'),
-        (line_as_a_face, 'spans no rectangle'),
+        (line_as_a_face, 'no width in u or v'),
         (whole_cylinder, 'is closed around its axis'),
         (
             lambda part: part.face(part.add(f"SPHERICAL_SURFACE('',{part.frame()},5.)")),

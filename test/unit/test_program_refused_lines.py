@@ -67,8 +67,11 @@ def test_what_depends_on_a_refused_line_is_not_judged():
 
 def test_an_axis_that_is_missing_is_told_once_whatever_its_words():
     text = 'R1=0\nWHILE R1<8\nG1 X=R1 B=R1 F100\nR1=R1+1\nENDWHILE\nG1 B3\nX9\nM30\n'
-    told = str(refused(f'G0 X0 Y0 Z0\n{text}', 'part.mpf'))
-    assert told == 'part.mpf:4: B: the machine has no axis B, only X Y Z A C (also line 7)'
+    told = str(refused(f'G0 X0 Y0 Z0\n{text}', 'a.mpf'))
+    assert (
+        told
+        == 'a.mpf:4: B: the machine has no axis B, only X Y Z A C; remove the word (also line 7)'
+    )
 
 
 def test_a_spline_is_read_on_after_a_refused_control_point():

@@ -258,7 +258,9 @@ class Mover(ArcTargets):
             if letter in words.values and letter not in self.rotary_letters:
                 axes = ' '.join(self.geometry.machine.axis_names)
                 raise self.fault(
-                    f'the machine has no axis {letter}, only {axes}', letter, DependsOn.LINE
+                    f'the machine has no axis {letter}, only {axes}; remove the word',
+                    letter,
+                    DependsOn.LINE,
                 )
         letters = ('X', 'Y', 'Z', *self.rotary_letters, *self.extra_letters)
         return any(letter in words.values for letter in letters)

@@ -172,7 +172,7 @@ class HeidenhainFrames:
         for letter, value in values.items():
             self._demand(
                 letter in self._mover.rotary_letters,
-                f'the machine has no axis {letter}',
+                f'the machine has no axis {letter}; remove the word',
                 'PLANE AXIAL',
             )
             rotary[self._mover.rotary_letters.index(letter)] = value * DEG

@@ -201,7 +201,7 @@ class Flow(Cursor):
         for count in counts:
             self.demand(
                 0 < count * len(indices) <= _MOST_ELEMENTS,
-                f'an array of more than {_MOST_ELEMENTS} elements',
+                f'an array of more than {_MOST_ELEMENTS} elements; make it smaller',
                 name,
             )
             indices = [f'{before},{i}' for before in indices for i in range(count)]
@@ -282,7 +282,9 @@ class Flow(Cursor):
                 later += 3 * bool(before and letter <= before)
                 before = letter
             number = G65_ARGUMENTS[letter] + later * (letter in 'IJK')
-            self.demand(number <= MOST_LOCAL, 'more than ten sets of I J K', letter)
+            self.demand(
+                number <= MOST_LOCAL, 'more than ten sets of I J K; pass fewer arguments', letter
+            )
             found[number] = value
         return found
 

@@ -19,7 +19,7 @@ from cnc_interp.batch.task import engine
 from cnc_interp.core import InterpError
 
 PATIENCE = 10  #: Time for the scheduler to answer [s].
-MOST_LOST_WORKERS = 20  #: A task that has lost so many workers is given up.
+MOST_LOST_WORKERS = 20  #: A task is given up after it has lost this many workers.
 AHEAD = 2  #: Number of tasks assigned ahead, for each thread of the workers.
 
 A = TypeVar('A')
@@ -161,7 +161,7 @@ def _keep_quiet() -> None:
 
 
 async def _until_interrupted(part: Any) -> bool:
-    """Wait until a part of a cluster ends, or the process is told to end; tell which it was."""
+    """Wait until a part of a cluster ends or a signal ends this process; return which."""
     told = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, told.set)

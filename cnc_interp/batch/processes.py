@@ -24,7 +24,7 @@ PROCESS_NAME = 'cnc_batch'  #: Name of a working process in ``ps`` and ``top``.
 LOOK = 0.2  #: Time between checks whether all processes shall end [s].
 #: A call is given up after its process has been killed this often.
 MOST_KILLS = 200
-#: Signals by which others end a process; all other signals come from a crash of its own.
+#: Signals by which other programs end a process; any other signal means that it crashed.
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 
 A = TypeVar('A')

@@ -436,7 +436,7 @@ def iso_scallop_paths(
     surface : Surface
         Such as ``BSplineSurface.through(points)``, points (m, n, 3) [m].
     plane_normal : FloatArray
-        (3,): the passes lie one beside the other in this direction.
+        (3,): direction from each pass to the next one.
 
     Returns
     -------

@@ -97,7 +97,7 @@ class _Turns:
         normal = cross(self.start, self.end)
         theta = np.arctan2(norm(normal), dot(self.start, self.end))
         normal = normal / np.maximum(norm(normal), 1e-15)[:, None]
-        # The foot of the pole on each great circle, if it lies there; both poles count alike.
+        # The foot of the pole on each great circle, if it lies there; both poles are equivalent.
         side = cross(normal, self.start)
         foot = np.arctan2(side @ pole, self.start @ pole)
         foot = np.where(self.start @ pole < 0.0, foot - np.pi * np.sign(foot), foot)

@@ -99,7 +99,7 @@ def histogram(figures: Figures) -> dict[str, Any]:
     }
 
 
-#: Unit of the heights on the page [m], and the number that stands for zero.
+#: Unit of the heights on the page [m], and the number that means zero.
 STEP, ZERO = 1e-9, 1 << 23
 POINTS = 65  #: Points in each direction from which the page interpolates x, y and z.
 

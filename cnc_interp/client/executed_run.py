@@ -44,7 +44,7 @@ class Follower:
         self.waits: list[int] = []
         self.ended = False  #: Whether the last setpoint is the end of the program.
         self._number = 0  # of the next setpoint of the plan
-        self._tail: FloatArray | None = None  # what is left of the stop tail
+        self._tail: FloatArray | None = None  # the rest of the stop tail
         self._by_hand = self._lost = False  # how far the plan is compared
         self._rests = True
         self._wait = SetpointChunk.NOTHING  # of the chunk whose last setpoint came

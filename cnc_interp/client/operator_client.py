@@ -165,7 +165,7 @@ class OperatorClient(ServedNode):
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
 
-    # What is heard ------------------------------------------------------------------------------
+    # Receiving ----------------------------------------------------------------------------------
 
     @property
     def state(self) -> MachineState | None:

@@ -131,7 +131,7 @@ class Recorder:
         self._flushed: set[str] = set()
         self._streams = {topic: StreamRecord(topic) for topic in NUMBERED if topic in topics}
         self._state: MachineState | None = None  # the last one of the machine
-        self._ended: Time | None = None  # when the nodes were asked first
+        self._ended: Time | None = None  # when the nodes were first requested to flush
 
     def _listen(self, topic: str, kind: Any, profile: QoSProfile) -> Any:
         write = self._writing(topic)
@@ -158,7 +158,7 @@ class Recorder:
         def keep(data: bytes) -> None:
             write(data)
             if self._has_last_state():
-                return  # what the machine executes now is not part of the record
+                return  # setpoints that the machine executes now are not part of the record
             self._state = deserialize_message(data, MachineState)
             for name in EXECUTED:
                 if name in self._streams:

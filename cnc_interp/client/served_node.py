@@ -34,7 +34,7 @@ class ServedNode:
             self._executor.spin_once(timeout_sec=timeout)
 
     def close(self) -> None:
-        # Fast DDS may stand here for ever, and with it the interpreter (``run_console.DEAF``).
+        # Fast DDS may block here for ever, and with it the interpreter (``run_console.DEAF``).
         faulthandler.dump_traceback_later(LAST_WAIT, exit=True, file=2)
         try:
             self._executor.shutdown()

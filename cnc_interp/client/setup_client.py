@@ -274,7 +274,7 @@ class SetupConsole:
         }
 
     def _machine(self) -> dict[str, float]:
-        """Return the positions of the axes of the table; an arm has none of these axes."""
+        """Return the positions of the axes in the table; joints of an arm are not in it."""
         table, _, state = self._now
         has_them = len(state.positions) == len(state.program_positions)
         return dict(zip(table.axes, state.positions, strict=False)) if has_them else {}

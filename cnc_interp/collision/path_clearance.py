@@ -139,7 +139,7 @@ class PathClearance:
         hits: list[Hit] = []
         parts: list[Certificates] = []
         near: dict[int, Spans] = {}  # where bodies are not clear of the uncut stock
-        for pair, hit in self._last.items():  # a line that goes on hits once
+        for pair, hit in self._last.items():  # a line that continues counts as one hit
             if hit.line == lines[0]:
                 self._until[pair] = route.line_end[0]
         for first, last, pairs in self._stretches(path, rapid):

@@ -24,7 +24,7 @@ class Role(IntEnum):
     CUTTER = 2  # the part of a tool that cuts
     SHANK = 3
     HOLDER = 4
-    PART = 5  # what the stock shall become
+    PART = 5  # the shape that the stock must get
 
 
 @dataclass(frozen=True)

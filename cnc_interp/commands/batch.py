@@ -249,7 +249,7 @@ def _check_options(commands: Any, words: Sequence[str], ranges: Sequence[Any]) -
 
     known = next((swept for swept in SWEPT if tuple(words[: len(swept)]) == swept), None)
     if known is None:
-        return  # told by the sweep
+        return  # the sweep reports the mistake
     parser = commands.choices[known[0]]
     for word in known[1:]:
         parser = parser.of(word)

@@ -1,4 +1,4 @@
-"""The files of a LinuxCNC configuration: an INI file with what it includes, and its HAL files."""
+"""The files of a LinuxCNC configuration: an INI file with its includes, and its HAL files."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress

@@ -56,7 +56,7 @@ MECHANICS = (
 )
 FRICTION = (
     Parameter('coulomb', 0.2, 0.0, 50.0),
-    Parameter('static', 0.1, 0.0, 50.0),  # what it exceeds Coulomb friction by
+    Parameter('static', 0.1, 0.0, 50.0),  # excess over Coulomb friction
     Parameter('stribeck_velocity', 2e-3, 1e-4, 0.5),
 )
 

@@ -65,7 +65,7 @@ class Jog:
             return self._wish.slides.nominal(self._wish.target[None, :])[0]
         return self._axes.coordinates(self._before[-1])
 
-    # What the operator asks for -----------------------------------------------------------------
+    # Requests of the operator -------------------------------------------------------------------
 
     def beat(self, shares: Mapping[str, float], tool: float, now: float) -> float:
         """Process a beat received at a steady time; raise StreamError if it cannot be followed.

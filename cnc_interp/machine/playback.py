@@ -287,7 +287,7 @@ class Playback:
         self.read()
         self.plans.join(run_id, number, chunk, self.state, self.switching.functions)
 
-    # What the operator asks for -----------------------------------------------------------------
+    # Requests of the operator -------------------------------------------------------------------
 
     def hold(self) -> None:
         """Stop on the path as soon as the setpoints allow, and wait for cycle_start."""
@@ -512,7 +512,7 @@ class Playback:
             self.plans.empty()
             self.state = self.state.after(Event.REST)
             if self._progress.answered and self.state.state is State.HELD:
-                self.plans.given_up = self.plans.run_id.program_id  # what is left of its line
+                self.plans.given_up = self.plans.run_id.program_id  # the rest of its line
                 self.state = self.state.after(Event.FINISH, Reason.PROBE)
             return
         wait, self.plans.current = current.chunk.wait, None

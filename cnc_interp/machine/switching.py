@@ -115,7 +115,7 @@ class Switching:
         self._forget()
         self.functions = self._queued = 0  # set so far; number after those that wait
         self.off = ''  # which of ``signals.STOPS`` has switched off
-        self._were_on: dict[int, float] = {}  # what it has switched off, by output
+        self._were_on: dict[int, float] = {}  # values that it has switched off, by output
         self.probes_from = 0  # setpoint with which the line of a probe begins
 
     @property

@@ -180,7 +180,7 @@ class Handler(BaseHTTPRequestHandler):
     server: AgentServer
     server_version, sys_version = 'cnc_interp', ''
     protocol_version, timeout = 'HTTP/1.1', PATIENCE
-    default_request_version = 'HTTP/1.0'  # or what is no request gets an answer without status
+    default_request_version = 'HTTP/1.0'  # else invalid requests get an answer without a status
     disable_nagle_algorithm = True  # or each answer waits for an acknowledgement
 
     def log_message(self, *_: Any) -> None:

@@ -91,7 +91,7 @@ class MachineWatch(ServedNode):
         """Write to a store from now on."""
         self._store = store
 
-    # What is heard ------------------------------------------------------------------------------
+    # Receiving ----------------------------------------------------------------------------------
 
     def _see_state(self, state: MachineState) -> None:
         self._state, self._heard = state, time.monotonic()
@@ -115,7 +115,7 @@ class MachineWatch(ServedNode):
             if status.hardware_id == self.namespace:
                 self._diagnostics[status.name] = status
 
-    # What is told -------------------------------------------------------------------------------
+    # Reporting ----------------------------------------------------------------------------------
 
     def step(self) -> None:
         """Serve the node briefly, and update the store with the machine's state."""

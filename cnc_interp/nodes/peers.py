@@ -100,7 +100,7 @@ class Peers:
 
     @property
     def all_heard(self) -> bool:
-        """Return whether every other node has been heard; one that was not may still start."""
+        """Return whether every other node has been heard; a silent node may still be starting."""
         return self.state is not None and self._seen.keys() >= RECEIVERS.keys()
 
     def missing(self, now: float, timeout: float) -> str:

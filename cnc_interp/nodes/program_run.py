@@ -68,7 +68,7 @@ class ProgramRun:
         self.name = Path(goal.program).name if goal.program else '<text>'
         self.proposes = bool(goal.proposes)
         self.proposed: list[SetupChange] = []  # changes that its user decides about
-        self.stands: FloatArray | None = None  # of a line by hand: where it starts [m, rad]
+        self.stands: FloatArray | None = None  # start position of an MDI line [m, rad]
         self.phase = Phase.QUEUED
         self.preparation = Preparation()
         self.missing = ''  # a node that is silent

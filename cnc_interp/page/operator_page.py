@@ -33,7 +33,7 @@ from cnc_interp.page.times_dialog import TimesDialog
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import in_program
 
-#: Least time between shown states [s]; charts are updated every so many states.
+#: Least time between shown states [s]; number of states between updates of the charts.
 PACE, CHART_EVERY = 0.1, 4
 EARLY = 0.02  #: A state may be shown this much early [s].
 STALE = 0.5  #: Other changes are shown after this time [s].

@@ -203,7 +203,7 @@ class MachineView:
         else:
             radius, length = shape.size
             found = self._scene.cylinder(radius, radius, length, 32)
-            # The cylinders of the browser's library stand along y.
+            # The cylinders of the browser's library have the axis y.
             upright = Rotation.from_euler('x', 90, degrees=True)
             turn = (Rotation.from_euler('xyz', shape.rpy) * upright).as_matrix()
         found.move(*shape.centre).rotate_R(turn.tolist())

@@ -199,7 +199,7 @@ def _hits(motion: Motion, found: Mapping[str, Any]) -> dict[tuple[int, int], Spa
         if distance > placed.clearance[bodies] + TOUCH or beside > ON_PIECE:
             ledger.fail(f'line {line}: the hit of {one} and {other} is not proven')
             continue
-        if not stock_is_cut(placed, *bodies):  # ``stock.py`` judges what is left there
+        if not stock_is_cut(placed, *bodies):  # ``stock.py`` checks the remaining stock there
             ledger.fail(f'hit: line {line}, {one} and {other}')
         for key in (bodies, bodies[::-1]):
             excused.setdefault(key, []).append((begin, end))

@@ -229,7 +229,7 @@ class _Printed:
 
     def __init__(self) -> None:
         self.unit, self.plane, self.tcp = MM, PLANES['17'], False
-        self.digit = LAST_DIGIT * MM  # of the coarsest unit so far, in which offsets may stand
+        self.digit = LAST_DIGIT * MM  # of the coarsest unit so far, which offsets may still have
         self.feed, self.mode, self.spindle = float('nan'), 'G94', 0.0
         self.offsets = {name: np.zeros(6) for name in ('G5X', 'G92', 'TOOL')}
         self.turn = np.eye(6)  # of the work offset

@@ -253,7 +253,7 @@ def _feeds(run: TracedRun, motion: Any) -> Any:
     kept = extremes(told[:, 1], html.BUCKETS) if len(told) else np.zeros(0, dtype=int)
     measured = {'color': html.BLUE, 'width': 1.2}
     time, feed = told[kept, 0], told[kept, 1] / MM_PER_MIN
-    if len(told):  # cycle times tell no feeds
+    if len(told):  # records of cycle times have no feeds
         html.add_curve(figure, 1, time, feed, 'measured', measured, mode='lines')
     end = np.cumsum(motion.duration)
     for number, (first, last) in enumerate(run.stretches()):

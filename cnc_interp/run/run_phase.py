@@ -135,7 +135,7 @@ class LossRecovery:
 
     def __init__(self) -> None:
         self.node = ''  # the node that has forgotten the run
-        self._restarted = False  # the machine went on with what it had
+        self._restarted = False  # the machine continued with its buffered setpoints
         self._wants_since, self._waits = math.inf, -math.inf  # by the machine's clock [s]
         self._report: MachineReport | None = None
 

@@ -51,7 +51,7 @@ class Way:
     curves: bool = False  #: Whether runs of short blocks become curves.
 
 
-#: The port: tells whether the best of the first ways is faster than the best of the others.
+#: The port: returns whether the best of the first ways is faster than the best of the others.
 Choice = Callable[[Sequence[Way], Sequence[Way]], bool]
 
 

@@ -21,7 +21,7 @@ class Upright:
         self._pole = None if machine.pole is None else np.asarray(machine.pole)
         self._height = height
         self._moved = 0.0  # how far the last tool axis was moved, at flank height [m]
-        self._away = np.inf  # how far the last tool axis is from the pole, likewise
+        self._away = np.inf  # of the last tool axis from the pole, at flank height [m]
         self._row = 0
         #: Used tolerances, and the tolerances, by program row [m].
         self._used: dict[int, tuple[float, float]] = {}

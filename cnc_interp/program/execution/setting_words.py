@@ -171,7 +171,7 @@ def path_tolerance(at: Execution, words: BlockWords) -> None:
     q = words.values.pop('Q', None)  # ignored: the compressor stays within P in any case
     if q is not None and (tolerance is None or not q >= 0.0):
         raise at.fault('write G64 P Q: P is the tolerance, Q not below 0', words.texts['Q'])
-    tolerance = tolerance or None  # P0 is no tolerance of its own, as in LinuxCNC
+    tolerance = tolerance or None  # P0 sets no tolerance, as in LinuxCNC
     if tolerance is not None and not 0.0 < tolerance * at.mover.unit < FARTHEST:
         raise at.fault('the tolerance must be greater than zero', words.texts['P'])
     tolerances(at, 'G64 P', tolerance, tolerance)

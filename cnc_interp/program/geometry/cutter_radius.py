@@ -305,7 +305,7 @@ class CutterRadius:
         bend = (self._before.curvature + element.curvature) * side
         back, is_inner = pi - abs(turn), turn * side > 0.0
         if back < SMOOTH or (back < NEARLY_SMOOTH and bend < 0.0):
-            is_inner = bend < 0.0  # back along itself, and the tool stands between both
+            is_inner = bend < 0.0  # the contour reverses, and the tool is between both elements
         vertex, inner = element.start, list[tuple[complex, Element]]()
         for point in crossings(self._last, offset) if is_inner else []:
             after = offset.between(point, offset.end)
@@ -333,7 +333,7 @@ class CutterRadius:
                 beyond = max(last.distance(each[0]), offset.distance(each[0])) > CLOSED
                 return beyond, abs(each[0] - vertex)
 
-            point, after = min(inner, key=order)  # rather of both than of what would follow them
+            point, after = min(inner, key=order)  # prefers points of both elements
             ready, self._last = self._to(point, row), after
         else:
             ready = self._to(vertex + 1j * self._distance * leaves, row)

@@ -157,7 +157,7 @@ class ClReader:
         in_comment = False
         for number, raw in enumerate(lines, start=1):
             line = raw.strip().upper()
-            # A comment of Creo that ends in $ goes on in the next line.
+            # A comment of Creo that ends in $ continues in the next line.
             was_comment, in_comment = in_comment, line.endswith('$')
             in_comment = in_comment and (was_comment or '$$->' in line)
             if was_comment:

@@ -57,7 +57,7 @@ class HeidenhainReader(ProgramReader):
         self.shortest = False  # M126
         self.modal_cycle = False  # M89
         self.defining = False  # whether lines with Q belong to the cycle before
-        self.in_comment = False  # whether the line before was one that goes on
+        self.in_comment = False  # whether a comment continues from the previous line
         self._frames = HeidenhainFrames(self.mover, at.plane)
         self._holes = HeidenhainHoles(at, self.execute)
 

@@ -60,7 +60,7 @@ class HeidenhainHoles:
         )
         surface = of('Q203') * unit if self.cycle >= 200 else float(mover.here()[axis])
         if self.cycle < 200:
-            surface -= of('Q200') * unit  # the tool stands on the clearance
+            surface -= of('Q200') * unit  # the tool is at the clearance height
         bottom, retract = surface + of('Q201') * unit, surface + of('Q200') * unit
         self.demand(
             bottom < retract, 'the depth Q201 must be below the surface', f'CYCL DEF {self.cycle}'

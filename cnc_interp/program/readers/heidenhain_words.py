@@ -25,7 +25,7 @@ TURNING = re.compile(
     r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
     r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)'
 )
-#: Cycles that set something, and what it means here.
+#: Cycles that only set values, with the notice for each.
 SETTING = {
     247: 'the datum is that of the work offset that is active',
     239: 'the load has no effect',

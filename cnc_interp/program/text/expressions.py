@@ -437,7 +437,7 @@ class ProgramVariables:
         self._numbers: dict[int, float] = {}
         self._names: dict[str, float] = {}
         self._locals: list[tuple[dict[int, float], dict[str, float]]] = []
-        self._texts: list[str] = []  # each is a number, as ``number_of`` tells
+        self._texts: list[str] = []  # their numbers come from ``number_of``
         self._vacant: list[bool] = []  # whether locals that are not set have no value (G65)
 
     def follow(self, before: ProgramVariables) -> None:
@@ -502,7 +502,7 @@ class ProgramVariables:
         raise ExpressionError(f'{shown} {UNSET}')
 
     def number_of(self, text: str) -> float:
-        """Return the number that stands for a text, or for the name of an axis."""
+        """Return the number that represents a text, or the name of an axis."""
         if text not in self._texts:
             self._texts.append(text)
         return _FIRST_TEXT + self._texts.index(text)

@@ -420,7 +420,7 @@ class Flow(Cursor):
         if place is None and way != 'F':
             place = self.source.find(search, self.source.start)
         if place is None and way == 'C':
-            return  # no alarm: the program goes on
+            return  # no alarm: the program continues
         if place is None or (way == 'B' and place.offset >= after.offset):
             raise self.fault(
                 'no line with this number or label; correct the jump target', target or 'GOTO'

@@ -1,7 +1,7 @@
 """The largest squared speed from which the rest of a path can be driven: toppra's linear programs.
 
 The backward pass of TOPP-RA [PP2018, Algorithm 1] with ``seidel``. The unknowns of a step are
-b = s_dot^2 at its start and its change, over the largest b: within 1, whatever the unit of length.
+b = s_dot^2 at its start and the change of b, divided by the largest b, so that any unit will do.
 """
 
 import sys

@@ -67,6 +67,6 @@ def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
 
 
 def tool_warnings(machine: Machine, settings: Settings) -> list[str]:
-    """Return warnings about ``wanted_tool`` for the operator; raises as it does."""
+    """Return warnings about ``wanted_tool`` for the operator; raises the same errors."""
     tool = wanted_tool(machine, settings)
     return [] if tool is None else tool.warnings

@@ -83,11 +83,11 @@ class ToolLimit:
         taken = float(np.linalg.norm(self.series.away[self.machine.is_linear]))
         if taken <= self.largest:
             return []
-        instead = 'raise it, or --compensate' if self.model is None else 'raise it'
+        instead = 'raise the limit' + ', or use --compensate' * (self.model is None)
         return [
-            f'{WARNING}friction and backlash of the linear axes take up to {taken / MM:.3f} mm at '
-            f'any speed, more than --tool-error {self.largest / MM:g} mm: the motion is slow '
-            f'there, and is not proven; {instead}'
+            f'{WARNING}friction and backlash of the linear axes cause up to {taken / MM:.3f} mm '
+            f'at any speed, more than --tool-error {self.largest / MM:g} mm: there the motion is '
+            f'slow and not proven; {instead}'
         ]
 
     def begun(self, path: AxisPath, start: tuple[float, float]) -> ToolLimit:
@@ -97,7 +97,7 @@ class ToolLimit:
         q, q_s, q_ss = path.cell_left[:3, 0]
         velocity, acceleration = q_s * start[0], q_ss * start[0] ** 2 + q_s * start[1]
         count = round(RUN_UP / self.period) if start[0] > 0.0 else 0
-        # As if the motion before had gone on like this: with the acceleration for a moment only.
+        # As if the motion before had been like this, with the acceleration for a moment only.
         time = self.period * np.arange(-count, 0)[:, None]
         recent = np.maximum(time, -NEARBY)
         rates = velocity + acceleration * recent
@@ -191,7 +191,7 @@ class ToolLimit:
         axis = np.concatenate([moving.axis, resting.axis]) * self.flank_height
         errors = np.stack([np.concatenate([moving.tip, resting.tip]), axis])
         starts = np.append(law.time, law.end_time)[stretch.nodes[:-1]]
-        # An axis is where it was told to be so much earlier.
+        # An axis is where its setpoint was earlier by the lag.
         lag = self.series.lag + self.period * motion.late
         lag += motion.lag if self.model is not None else 0.0
         shown = self.wait + self.period * np.arange(errors.shape[1]) - lag

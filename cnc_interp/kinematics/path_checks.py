@@ -52,8 +52,8 @@ def off_words(machine: Machine, line: int, words: FloatArray, reached: FloatArra
         for place in (words, reached)
     )
     return BlockError(
-        f'the rotary words lead to {said}, but along the tool directions the axes come to '
-        f'{found}; write the words of this position, or turn with the tool retracted',
+        f'the rotary words ask for {said}, but following the tool directions the axes reach '
+        f'{found}; write this position in the words, or turn with the tool retracted',
         line,
     )
 
@@ -88,7 +88,9 @@ def refuse(transform: Transform, status: int, line: int, stands: FloatArray) -> 
             'the tip rests on a curve while the tool axis turns; give the turn a block of its own',
             line,
         )
-    raise BlockError(f'machine {machine.name} cannot reach the tool axis', line)
+    raise BlockError(
+        f'machine {machine.name} cannot reach the tool axis; choose another clamping', line
+    )
 
 
 def check_travel(
@@ -112,7 +114,7 @@ def check_travel(
     while len(parts):
         ends, slack = parts[:, [0, -1]], 0.5 * TRAVEL_SLACK
         outside = ((ends < low[axis] - slack) | (ends > high[axis] + slack)).any(axis=1)
-        if outside.any():  # what comes after it is not the first place
+        if outside.any():  # later places are not the first one
             first = int(outside.argmax())
             found, k = int(cell[first]), int(axis[first])
             parts, cell, axis = parts[:first], cell[:first], axis[:first]

@@ -120,7 +120,7 @@ def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, .
     frames = {WORKPIECE: (base, part), TOOL_TIP: (flange, tcp * [1.0, -1.0, -1.0, 1.0])}
     known = {root, *(joint.child for joint in tree)}
     for frame, (carrier, pose) in frames.items():
-        demand(frame not in known, f'has a link {frame}; rename it, this name is taken', 'urdf')
+        demand(frame not in known, f'has a link {frame}; rename it, this name is reserved', 'urdf')
         place, turn = vector(pose[:3, 3]), angles(pose[:3, :3])
         tree.append(Joint(f'{carrier}_{frame}', 'fixed', carrier, frame, place, rpy=turn))
     joints = tuple(names), tuple(letters), tuple(tree), text

@@ -21,17 +21,17 @@ from cnc_interp.machine_model.demands import demand
 
 AXES = 'XYZ'
 PLACES = 'at_mm'  #: Key of the positions of a table.
-#: Squareness [urad] -> what it adds to a displacement per metre: row, axis, sign. The line of the
-#: second axis is turned about the axis of the first letter.
+#: Squareness [urad] -> displacement that it changes per metre of an axis (row, axis, sign). The
+#: line of the second axis is turned about the axis of the first letter.
 SQUARENESS = {'C0Y_urad': (0, 1, -1.0), 'B0Z_urad': (0, 2, 1.0), 'A0Z_urad': (1, 2, -1.0)}
-#: Larger errors [m, rad], and steeper ones [per m], are in a wrong unit.
+#: Larger errors [m, rad], and steeper ones [per m], suggest a wrong unit.
 LARGEST, STEEPEST = np.full(6, 2e-3), np.full(6, 5e-3)
 DEGREE = 5  #: Of the splines through the tables; their fourth derivatives are continuous.
-#: So much of the travel may lie beyond either end of a table, which goes on there as it ends, to
-#: at least so many nodes beyond.
+#: Share of the travel that may lie beyond either end of a table, and least number of nodes by
+#: which the table is continued there.
 UNCOVERED, FEWEST = 0.1, 3
 GOES_ON: Any = {'mode': 'reflect', 'reflect_type': 'odd'}
-FARTHEST = 20.0  #: Errors of squareness count up to here, on an axis without a table [m].
+FARTHEST = 20.0  #: Without a table of an axis, errors of squareness apply up to this position [m].
 MOST = 4096  #: Nodes of a table.
 UNEVEN = 4.0  #: With more uneven nodes, a spline would swing between them [-].
 

@@ -458,7 +458,7 @@ def whole_text(name: str) -> str:
 
 def without_topic(name: str, file: Path) -> str:
     """Return a machine; if its URDF is on a topic, a copy of its file with the URDF inside."""
-    Machine.load(name)  # refuses what is no machine file
+    Machine.load(name)  # rejects other files
     if str(read_yaml(find_machine_file(name)).get('urdf')).startswith(TOPIC):
         _write(content_of(name), file)
         return str(file)

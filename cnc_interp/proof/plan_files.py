@@ -101,9 +101,9 @@ LARGEST = (0.0, 1.5), (0.5, 1.2)  #: Ranges of the feed and the spindle override
 #: Ranges of figures that every summary must contain [s, m].
 RANGES = {'interpolation_period': (1e-5, 0.1), 'flank_height': (0.0, 1e3)}
 MOST_SAMPLES = 1 << 62  #: More than any plan has.
-# Most columns of a file; the length [bytes] above which it may unpack to so many times its length.
+# Most columns of a file; a file longer than this [bytes] may unpack to this many times its length.
 MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
-# What the readers of archives and arrays raise for files that are not sound.
+# Exceptions that the readers of archives and arrays raise for invalid files.
 READING_FAULTS = (
     OSError,
     ValueError,
@@ -119,9 +119,9 @@ READING_FAULTS = (
     MemoryError,
     OverflowError,
 )
-# Header before the content of a file in an archive: its end are the lengths of name and extra.
+# Header before the content of a file in an archive; it ends with the lengths of name and extra.
 LOCAL_HEADER = struct.Struct('<26sHH')
-# Rows of less length have no feed [m]; a unit vector is so long to rounding.
+# Shorter rows have no feed [m]; accepted error of the length of a unit vector [-].
 NO_LENGTH, UNIT = 1e-9, 1e-6
 CHUNK = 1 << 14  #: Rows that are proven at a time.
 MISSING = -1  #: Setpoint number of a function that did not act.

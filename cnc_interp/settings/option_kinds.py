@@ -27,8 +27,8 @@ class Stage(enum.Enum):
     SMOOTHING = 'smoothing'
     MOTION = 'motion'
     PLANNING = 'planning'  # the motion law, found by the feed planner
-    START = 'start'  # where one run begins; never a habit of the nodes or of the page
-    APPROACH = 'approach'  # the way from where the machine stands
+    START = 'start'  # where one run begins; never a default of the nodes or of the page
+    APPROACH = 'approach'  # the approach from the machine's current position
     OFFLINE = 'offline'  # motion that is planned without the nodes
 
 

@@ -57,14 +57,14 @@ class Settings:
     dialect: str = kinds.one_of(
         ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'),
         READING,
-        'control for which the program is written; auto: that of the machine file, or as its '
-        'words show',
+        'control for which the program is written; auto: that of the machine file, or the one '
+        'whose words it has',
     )
     arc_centres: str = kinds.one_of(
         ('auto', 'start', 'absolute', 'reversed'),
         READING,
-        'I J K of arcs: way from the start to the centre, place of the centre, or way from the '
-        'centre to the start; auto: that of the machine, else what all arcs fit',
+        'I J K of arcs: vector from start to centre, position of the centre, or vector from '
+        'centre to start; auto: that of the machine, else the one that fits all arcs',
     )
     units: str = kinds.one_of(
         ('auto', 'mm', 'inch'),
@@ -74,7 +74,7 @@ class Settings:
     numbers: str = kinds.one_of(
         ('auto', 'units', 'increments'),
         READING,
-        'what lengths and angles without a decimal point count: units, or increments (X10 is '
+        'what lengths and angles without a decimal point mean: units, or increments (X10 is '
         '0.010 mm or 0.0010 inch); auto: that of the machine, else units',
     )
     skip_blocks: bool = kinds.switch(False, READING, 'leave out lines that begin with a slash')
@@ -103,7 +103,8 @@ class Settings:
     parametrization: str = kinds.one_of(
         ('auto', 'exact', 'linear', 'paper'),
         SMOOTHING,
-        'how the orientation of a corner joins its lines; auto: exact, or paper on such corners',
+        'how the orientation of a corner joins its lines; auto: paper for paper corners, '
+        'else exact',
         for_comparison=True,
     )
     top: str = kinds.one_of(
@@ -119,14 +120,14 @@ class Settings:
         for_comparison=True,
     )
     compress: bool = kinds.switch(
-        True, SMOOTHING, 'make curves of dense blocks, or round every corner'
+        True, SMOOTHING, 'make curves of dense blocks, instead of rounding every corner'
     )
     longest_block: float = kinds.number(
         5.0 * MM,
         kinds.LENGTH,
         LENGTHS,
         SMOOTHING,
-        'longer blocks stay straight lines; for an arm times its reach in metres',
+        'longer blocks stay straight lines; for an arm, this length times its reach in metres',
     )
     corner_angle: float = kinds.number(
         35.0 * DEG,
@@ -153,7 +154,7 @@ class Settings:
     )
     compensation: str | None = kinds.name(
         MOTION,
-        'machine file whose models of the drives are compensated, as identify writes it',
+        'machine file whose drive models are compensated, as identify writes it',
         option='compensate',
         metavar='M',
     )
@@ -165,7 +166,7 @@ class Settings:
         kinds.LENGTH,
         TOLERANCES,
         PLANNING,
-        'largest error that the drives leave at the tool, also at flank height',
+        'largest error that the drives may leave at the tool tip and at flank height',
         nothing='none',
     )
     scene: Path | None = kinds.file(  # noqa: RUF009 (a field)
@@ -181,7 +182,7 @@ class Settings:
         0,
         (0, 10**12),
         START,
-        'which execution of that line, where loops or calls repeat it, 0: the only one',
+        'which execution of that line, if loops or calls repeat it, 0: the only one',
         option='pass',
     )
     retract: float = kinds.number(
@@ -189,7 +190,7 @@ class Settings:
         kinds.LENGTH,
         (0.0, 1e3 * MM),
         APPROACH,
-        'distance along the tool of the retract and the plunge',
+        'length of the retract and of the plunge along the tool',
     )
     plunge_feed: float = kinds.number(
         500.0 * MM_PER_MIN,
@@ -201,7 +202,7 @@ class Settings:
     spin: str = kinds.one_of(
         ('fixed', 'auto', 'best'),
         kinds.Stage.OFFLINE,
-        'turn of the tool of an arm about its axis; auto: the fastest constant for each cut; '
+        "turn of an arm's tool about its axis; auto: the fastest constant one for each cut; "
         'best: a curve for each cut, which takes longer to find',
     )
 

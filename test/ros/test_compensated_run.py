@@ -69,6 +69,6 @@ def test_the_run_and_its_plan_have_one_verdict(tmp_path):
             check=False,
         )
         assert done.returncode == FAILED, done.stderr
-        assert 'WARNING: friction and backlash of the linear axes take up to' in done.stderr
+        assert 'WARNING: friction and backlash of the linear axes cause up to' in done.stderr
         verdicts.append(re.findall(r'^(?:tool error|NOT proven).*', done.stdout, re.M))
     assert verdicts[0] == verdicts[1] and len(verdicts[0]) == 2

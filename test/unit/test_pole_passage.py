@@ -251,9 +251,7 @@ def test_rotary_words_that_tool_directions_do_not_lead_to_are_refused(end):
         X60 {end}"""
     transform = Transform.of(MACHINES[0])
     program = read_text(text, 'words.mpf', transform, Settings())
-    with pytest.raises(
-        BlockError, match=r'rotary words lead to A-20.* come to A20.* C178'
-    ) as found:
+    with pytest.raises(BlockError, match=r'rotary words ask for A-20.* reach A20.* C178') as found:
         plan_program(program, MACHINES[0])
     assert found.value.line_number == 4
 

@@ -289,7 +289,7 @@ def test_a_limit_below_friction_is_told_before_the_motion():
     assert ToolLimit.of(TIRED, T, 100 * UM, HEIGHT).warnings == []
     assert ToolLimit.of(TIRED, T, 20 * UM, HEIGHT, TIRED).warnings == []
     (told,) = ToolLimit.of(TIRED, T, 20 * UM, HEIGHT).warnings
-    assert 'take up to 0.048 mm at any speed, more than --tool-error 0.02 mm' in told
+    assert 'cause up to 0.048 mm at any speed, more than --tool-error 0.02 mm' in told
 
 
 def test_command_line_and_proof(tmp_path, capsys):

@@ -410,7 +410,7 @@ class _Conversion:
         }
 
     def _is_ours(self, word: str, signal: str) -> bool:
-        """Return whether a line is about a signal that has a new name, or none of its pins."""
+        """Return whether the signal of a line is renamed, or has no pins left."""
         if word == 'newsig':
             self.signals.add(signal)
         return self._new_name(signal) != signal or signal not in self.signals

@@ -8,7 +8,7 @@ from cnc_interp.convert.linuxcnc_files import UNITS, Ini, number
 from cnc_interp.core import DEG, INCH, MM
 from cnc_interp.machine_model.machine import Machine
 
-#: Pins of LinuxCNC whose signals outputs and inputs of these names take over.
+#: Pins of LinuxCNC, by the names of the outputs and inputs that take over their signals.
 PINS = {
     'spindle_forward': 'spindle.0.forward',
     'spindle_reverse': 'spindle.0.reverse',

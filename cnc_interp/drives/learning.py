@@ -1,9 +1,9 @@
 """Learn a correction of the feed-forward of compensated drives from a run of the same program.
 
 The table missed its delayed setpoint by e. By the loops of ``drive_model.py``, the velocity
-feed-forward that moves it by e is ``f dg = kv e + (1 + tau B) e' + tau e''``, sent earlier by the
-dead time. The correction is smoothed by a zero-phase low pass below the flexible mode. Where the
-model error exceeds the remaining error, learning would make the error larger.
+feed-forward that moves the table by e is ``f dg = kv e + (1 + tau B) e' + tau e''``, sent earlier
+by the dead time. The correction is smoothed by a zero-phase low pass below the flexible mode.
+Where the model error exceeds the remaining error, learning would make the error larger.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The tool along its own axis by hand: one coordinate, which X Y Z or the joints of an arm follow.
 
 The joints are a curve q(x), so the limits of x come from its three derivatives. The lowest limits
-along the travel apply. The travel ends before a joint leaves its own, or has to run much faster
-than where the motion begins, as near a singular pose.
+along the travel apply. The travel of x ends before a joint leaves its travel, or must move
+much faster than at the start of the motion, as near a singular pose.
 """
 
 from __future__ import annotations

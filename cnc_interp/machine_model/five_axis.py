@@ -5,7 +5,7 @@ With T the product of the rotary axes that carry the workpiece and H of those th
     o_W = T^-1 H e_z = Rot(u, a) Rot(w, b) e_z
     (x, y, z) = Table(p_W) + Head(rotary) - Head(0)
 
-with (x, y, z) where the tool stands in M: X Y Z plus the extra axes along their directions.
+with (x, y, z) the position of the tool in M: X Y Z plus the extra axes along their directions.
 The *outer* axis u turns about the pole and the *inner* axis w, next to the tool, tilts:
 table-table: u secondary, w primary, both negated; head-head: u primary, w secondary;
 one of each: u the table axis, negated, w the head axis.

@@ -84,7 +84,7 @@ def error_text(error: float, unit: str) -> str:
 class Machine:
     """A machine tool: linear axes X Y Z, then the rotary axes, primary first, then extra axes.
 
-    An extra axis is a linear axis U, V or W that carries the tool beside X Y Z, such as the quill
+    An extra axis is a linear axis U, V or W that carries the tool besides X Y Z, such as the quill
     W of a boring mill along Z: the tool is at X Y Z plus the sum of ``w_k d_k``, with w_k its
     position and d_k its direction. Rail U and positioner E1 of an arm are extra axes, too; the six
     joints follow from the pose of the tool.

@@ -11,8 +11,8 @@ from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.machine_model.transform_port import Transform
 
-#: Function that returns the rates of the axes along a line, each over its jerk limit, for rows of
-#: tool tip, tool axis, unit step of the tip, and turn of the tool axis per metre.
+#: Function that returns the rates of the axes along lines, each over its jerk limit. Each line has
+#: a row of tool tip, tool axis, unit step of the tip, and turn of the tool axis per metre.
 AxisRates = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 
 

@@ -385,8 +385,8 @@ def _switched_off(
 ) -> dict[str, tuple[int, ...]]:
     """Read the table of outputs that stops switch off.
 
-    A number without a row is kept. Every on/off output needs a row, because neither a clamp that
-    opens at a stop nor a spindle that keeps turning may be an oversight.
+    A number without a row is kept. Every on/off output needs a row, so that no clamp opens at
+    a stop, and no spindle keeps turning, because its row was forgotten.
     """
     rows = _mapping(given, 'switched_off')
     for name in rows:

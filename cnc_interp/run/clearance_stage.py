@@ -57,8 +57,8 @@ class ContactError(StreamError):
         super().__init__(text)
 
 
-#: Functions that find the first contact on ways through axis positions, (K, n) [m, rad], and that
-#: describe it with the remaining distance where the axes rest, (n,).
+#: Functions that find the first contact on straight moves between axis positions, (K, n) [m, rad],
+#: and that describe it with the distance that remains where the axes rest, (n,).
 Foresight = Callable[[FloatArray], Callable[[FloatArray], ContactError] | None]
 
 

@@ -13,8 +13,8 @@ orientation tolerance, and the outer rotary axis follows each of its waves.
 No simple measure of the path predicts how long the axes take there, and smoothing plans no motion.
 Therefore it proposes two sets of alternatives for the next blocks, and a stage that can plan them
 chooses (``Choice``). At a corner the alternatives are with and without a stop there; the corners
-after it, which may need a stop too, are rounded or all are stops. A run is a curve, or lines that
-are rounded; or all are stops, where one of their corners is doubtful.
+after it, which may need a stop too, are rounded or all are stops. A run is a curve, or lines
+with rounded corners; if one of these corners is doubtful, also lines with a stop at every corner.
 
 An alternative begins and ends at rest: at the last stop, or three lines before the corner, and at
 the next stop, or six lines after it. Its lines, and the choice, do not depend on how the blocks

@@ -22,8 +22,8 @@ CHORD_SHARE = 0.1
 #: Distance from the pole, in orientation tolerances, within which a path could pass its other
 #: side.
 POLE_TOLERANCES = 4.0
-#: Without tool-tip programming, lines in axes become curves of poses after this many short blocks
-#: in a row, in each of which the tip moves more than this share of the turn at flank height [-].
+#: Without tool-tip programming, lines in axes become curves of poses after this many consecutive
+#: short blocks, in which the tip moves more than this share of the turn at flank height [-].
 FEWEST_DENSE, SLOW_TIP = 32, 0.05
 BESIDE_ARC = 8  #: A short line has the tolerance of an arc at most this many motions away.
 

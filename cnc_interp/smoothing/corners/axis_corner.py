@@ -15,7 +15,7 @@ number of coordinates). A point on the tool moves in W by at most
 ``|dx| + |dw| + r_1 |da| + r_2 |db|`` with the largest distances r_i from the rotary axes on the
 corner. Each r_i changes at most as fast as the point moves relative to its axis. So the bounds
 hold for every point of the curve, for tip, top point and tool axis at one programmed place. The
-curve passes the vertex itself within the tolerances, too, and so it does with every word.
+curve also passes the vertex itself, and with it every rotary word, within the tolerances.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The general connection of two 5-axis path portions [B2013, section 2.6 and Fig. 4].
 
-Two portions meet at one point with one tool axis. With the arc length s of the tip, the second one
-may begin with other p_s, p_ss, o_s, o_ss than the first one has at its end. Each jump would reduce
-the feed. Here a polynomial span is changed until it begins with the derivatives of its neighbour:
+Two portions meet at one point with one tool axis. By the arc length s of the tip, the derivatives
+p_s, p_ss, o_s, o_ss at the start of the second may differ from those at the end of the first. Each
+jump would reduce the feed. Here a polynomial span is changed until it begins with the derivatives
+of its neighbour:
 
 * The two inner Bezier points of the tip next to the join move until p_s and p_ss agree.
 * The tool axis gets the connection E of ``connection.py``: a polynomial that is added to the top

@@ -170,7 +170,7 @@ class PassRecursion:
                 raise StripError(problem, 'use a smaller plane distance')
         except (HeelError, StripError, WideStripError) as error:
             return self.closer_pass(before, plane, number, error)
-        self.notes.append(f'pass {number} starts afresh: {problem}')
+        self.notes.append(f'pass {number} restarts the recursion: {problem}')
         return made
 
     def closer_pass(
@@ -197,7 +197,7 @@ class PassRecursion:
         curve, angles = best
         yaw = f', yaw {angles.yaw[0] / DEG:.0f} deg' if angles.yaw[0] != own else ''
         self.notes.append(
-            f'pass {number} starts afresh, {(curve.plane - start) / MM:.3f} mm from '
+            f'pass {number} restarts the recursion, {(curve.plane - start) / MM:.3f} mm from '
             f'{"the border" if before is None else "the pass before"}, tilts '
             f'{angles.tilt.min() / DEG:.1f} to {angles.tilt.max() / DEG:.1f} deg{yaw}: '
             f'{reason.what}'
@@ -480,7 +480,7 @@ def facts_in_words(facts: dict[str, Any]) -> list[str]:
     apart = f'{steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart, ' if steps else ''
     return [
         f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
-        f'planes         {apart}{facts["started_afresh"]} passes started afresh',
+        f'planes         {apart}{facts["started_afresh"]} passes restarted the recursion',
         f'iterations     {counts["march"]:.1f} to bracket and {counts["scallop"]:.1f} to solve '
         f'a scallop point, {counts["posture"]:.1f} a posture',
     ]

@@ -87,8 +87,8 @@ def add_cam_commands(commands: Any) -> None:
         *_cutting(),
         option(
             '--tiles',
-            'cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
-            'that zooms; a second start goes on',
+            'cut millions of needles in tiles; writes heights (Zarr) and a page that zooms; '
+            'a second start continues',
             Path,
             'DIR',
         ),

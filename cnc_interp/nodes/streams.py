@@ -150,7 +150,7 @@ class Inlet:
             if new and receiver.gives_way(topic):
                 receiver.make_way(run_id)
             if program == run_id.program_id and topic != self._topic:
-                self._ears[topic].ignore(f'is for the run that comes on {self._topic}')
+                self._ears[topic].ignore(f'belongs to the run that is sent on {self._topic}')
                 return
             self._enter(passed)
             if receiver.run_id.program_id != program:

@@ -372,9 +372,7 @@ def with_beside(
             if not outside <= SLACK
         ]
     count = sum(map(len, stretches))
-    line = (
-        f'beside program {count} samples (approach, by hand and back), largest use {largest:.2%}'
-    )
+    line = f'beside program {count} samples (approach, motion by hand), largest use {largest:.2%}'
     told = '\n'.join(text for text in (line, proof.beside) if text)
     return replace(proof, failures=(*proof.failures, *faults), beside=told)
 

@@ -12,7 +12,7 @@ class Phase(Enum):
     QUEUED = 'waits for earlier programs'
     CHECKING = 'is read and checked'
     WAITING = 'waits until all nodes answer and the machine rests'
-    OFFERED = 'blocks are sent; look-ahead and planner have not taken the run yet'
+    OFFERED = 'blocks are sent; look-ahead and planner have not accepted the run yet'
     STREAMING = 'blocks are sent and executed'
     LOST = 'a node has forgotten the run; cycle start is needed'
     ENDED = 'has its result'
@@ -20,14 +20,14 @@ class Phase(Enum):
 
 class PhaseChange(Enum):
     TURN = 'the earlier programs have ended'
-    CHECKED = 'it is known to run'
+    CHECKED = 'the check has passed'
     STALE = 'offsets or tools were changed after the check'
     START = 'all nodes answer and the machine rests'
-    TAKEN = 'look-ahead and planner have taken the run'
+    TAKEN = 'look-ahead and planner have accepted the run'
     LOSE = 'a node was restarted'
-    BEGIN_AGAIN = 'the program is sent once more'
+    BEGIN_AGAIN = 'the program is sent again'
     READ_ON = 'a probe has answered; the lines after it are read'
-    END = 'there is a result'
+    END = 'the run has a result'
 
 
 P, S = Phase, PhaseChange

@@ -240,7 +240,7 @@ class RunState:
     @property
     def text(self) -> str:
         if self.state is State.FILLING and self.reason is not Reason.FUNCTION:
-            return 'setpoints are being planned; motion goes on by itself'
+            return 'setpoints are being planned; motion continues by itself'
         if self.state is State.IDLE or self.by_hand:
             return ''
         return TEXTS[self.reason].format(self.detail)

@@ -41,7 +41,7 @@ class Program:
 
 
 class ProgramStream:
-    """A part program that is read while its blocks are taken, whatever its length.
+    """A part program of any length, which is read while its blocks are taken.
 
     Iteration yields batches of blocks, the start pose first, or raises ProgramError.
     """

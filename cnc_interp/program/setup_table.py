@@ -32,8 +32,8 @@ _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 class SetupTable:
     """Offsets and tools of the machine; a change is written to the log, the file, then here.
 
-    While it is open, no other table can use the same file, which may be new. Without a file, the
-    changes are lost with this object.
+    While it is open, no other table can use the same file, which need not exist yet. Without a
+    file, changes are lost with this object.
     """
 
     def __init__(self, file: Path | None):
@@ -176,7 +176,7 @@ def touch_off_changes(
     frame: ProgramCoordinates,
     zero: Position,
 ) -> list[SetupChange]:
-    """Return the change of a work offset after which coordinates read given values here.
+    """Return the change of a work offset after which the coordinates here read given values.
 
     ``values``: the new readings; ``reads``: the current readings in ``frame``, all in its order;
     ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane, one coordinate may

@@ -11,8 +11,8 @@ from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.tables import Table, column
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
-#: Values of ``Blocks.corner``: rounding and stopping are both tried; the faster one is known; or
-#: the block is a piece of a longer motion that continues smoothly, such as an arc.
+#: Values of ``Blocks.corner``: rounding and stopping are both tried; rounding, or stopping, is
+#: known to be faster; or the block is a piece of a longer smooth motion, such as an arc.
 OPEN_CORNER, ROUND_CORNER, STOP_CORNER, WITHIN_MOTION = 0, 1, 2, 3
 #: Values of ``Blocks.interpolation``: what runs linearly in a block.
 POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
@@ -46,13 +46,13 @@ class Blocks(Table):
     line_number: IntArray = column()  #: Line of the program text, counted from 1.
     #: Control points of the second curve on spline rows [m], else NaN.
     top: FloatArray = column(3, default=nan)
-    #: On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots [-]; 0 in the
-    #: first row, in the last two rows and for a repeated knot. NaN on linear rows.
+    #: On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knot vector [-]; 0
+    #: in the first row, in the last two rows and for a repeated knot. NaN on linear rows.
     knot_interval: FloatArray = column(default=nan)
     #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits at its exact stop; otherwise GO_ON.
     program_stop: IntArray = column(default=GO_ON)
-    #: Positions of the k extra axes (U V W) at the end of the block [m], linear with the tip. If
-    #: poses give the spin of an arm, it is the last column, times flank height.
+    #: Positions of the k extra axes (U V W) at the end of the block [m]; they move linearly with
+    #: the tip. If poses give the spin of an arm, the last column is the spin times flank height.
     extra: FloatArray = column('k', default=0.0)
     interpolation: IntArray = column(default=POSES)  #: POSES, ROTARY_LINEAR or AXES_LINEAR.
     #: Rotary positions at the start of rows whose rotary axes run linearly [rad], else NaN.

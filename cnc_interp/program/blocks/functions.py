@@ -42,7 +42,7 @@ class Functions(Table):
     line_number: IntArray = column()  #: Line of the program text.
     step: IntArray = column()  #: Number in ``Signals.steps`` of the machine.
     value: FloatArray = column()  #: Value to which the output is set.
-    #: Whether it acts before, instead of after, a program stop (M0, M1) at the same block.
+    #: Whether it acts before a program stop (M0, M1) at the same block, and not after it.
     before_stop: BoolArray = column(default=False)
 
     @staticmethod
@@ -64,7 +64,7 @@ class Functions(Table):
         return np.unique(self.block[waiting[self.step]]) if len(self) else self.block
 
     def standstill(self, signals: Signals, times: Standstill) -> FloatArray:
-        """Return the time that the path rests for each function, (n,) [s]."""
+        """Return how long the motion rests for each function, (n,) [s]."""
         first = {words.start: word for word, words in signals.words.items()}
         rests, wanted, turning, follows = np.zeros(len(self)), 0.0, 0.0, 0
         for k, (step, value) in enumerate(zip(self.step.tolist(), self.value, strict=True)):
@@ -86,13 +86,13 @@ class Functions(Table):
         return rests
 
     def speeds(self, signals: Signals) -> FloatArray:
-        """Return the speeds that are programmed for the spindle, (k,) [rev/min]."""
+        """Return the programmed spindle speeds, (k,) [rev/min]."""
         word = signals.words.get('S')
         found: FloatArray = np.unique(self.value[self.step == word.start] if word else [])
         return found
 
     def from_row(self, row: int, signals: Signals) -> Functions:
-        """Return the functions of a run from a row on; earlier ones still in effect act first."""
+        """Return the functions of a run from a row on; earlier ones in effect there act first."""
         after = self.until(row)
         starts = {words.start for words in signals.words.values()}
         threads = [k for word in (FOLLOWS, FREE) for k in signals.words.get(word, ())]

@@ -19,8 +19,8 @@ from cnc_interp.settings.options import Settings
 SAME = 1e-12  # [m], [-], [rad]
 #: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
 CHORD_SHARE = 0.1
-#: Distance from the pole, in orientation tolerances, within which a path could pass its other
-#: side.
+#: Distance from the pole, in orientation tolerances, within which a path could pass it on the
+#: other side.
 POLE_TOLERANCES = 4.0
 #: Without tool-tip programming, lines in axes become curves of poses after this many consecutive
 #: short blocks, in which the tip moves more than this share of the turn at flank height [-].
@@ -44,9 +44,10 @@ NOTHING_BEFORE = Preceding()
 class Moves:
     """Motions between consecutive targets, which can be evaluated at any parameter.
 
-    ``interpolation`` (n,): as in ``Blocks``; of the ``undecided`` last ones it depends on the next
-    motions; ``beside`` (n,): extra axes move and rotary axes do not; ``rests`` (n,): words turn
-    the rotary axes about a resting tip; ``beside_arcs`` (n,): arcs, and short lines beside them.
+    ``interpolation`` (n,): as in ``Blocks``; for the ``undecided`` last motions it depends on the
+    next ones; ``beside`` (n,): whether extra axes move and rotary axes do not; ``rests`` (n,):
+    whether words turn the rotary axes about a resting tip; ``beside_arcs`` (n,): whether a motion
+    is an arc, or a short line beside one.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Moves:
         return some
 
     def _interpolation(self, settings: Settings) -> IntArray:
-        """Say what runs linearly; short blocks in axes become poses with their neighbours."""
+        """Decide what runs linearly; short blocks in axes become poses with their neighbours."""
         rows, cuts = self.rows, self.rows[:, col.RAPID] == 0.0
         linear = rows[:, col.GREAT_CIRCLE] == 0.0
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & linear
@@ -289,8 +290,8 @@ class Moves:
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """Return feedrate [m/s] and duration [s] of the motions, (n,); one of the two is NaN.
 
-        For axis positions, F is the speed of X Y Z, else of extra axes, else of the rotary axes.
-        With ``COMBINED`` it is the speed of all axes.
+        For axis positions, F is the speed of X Y Z if they move, else of the extra axes, else of
+        the rotary axes. With ``COMBINED`` it is the speed of all axes.
         """
         feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
         turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)

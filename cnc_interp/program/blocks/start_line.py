@@ -11,18 +11,18 @@ from cnc_interp.core import FloatArray, ProgramError
 @dataclass(frozen=True)
 class StartBlock:
     line: int  #: Requested line.
-    row: int  #: Row of ``Blocks`` with the first motion from there on.
+    row: int  #: Row of ``Blocks`` with the first motion from that line on.
     #: Number of executions of the line, and the requested execution, from 1.
     passes: int
     which: int
-    words: tuple[str, ...]  #: Modal state there, as the words that set it.
+    words: tuple[str, ...]  #: Modal state at that line, as the words that set it.
 
 
 class StartLine:
     """Counts how often the line is reached, and notes the row with the first motion of each pass.
 
-    ``line``: 0 for the top; ``which``: its execution, 0 for the only one; ``row``: if already
-    known.
+    ``line``: the start line, 0 for the top; ``which``: the execution of that line, 0 for the only
+    one; ``row``: the row if already known.
     """
 
     def __init__(self, line: int, which: int, source: str, row: int | None = None):

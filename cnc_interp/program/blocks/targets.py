@@ -102,7 +102,7 @@ class TargetColumns:
             self._rows.extend(ready)
 
     def give_spin(self) -> int:
-        """Let each target give the spin of an arm at flank height [m]; return its place."""
+        """Let targets give the spin of an arm, times flank height [m]; return its column."""
         place = len(self._extra)
         if place == len(self.extra_start):
             raise ProgramError('poses need an arm with at most two further joints', self._source)
@@ -227,7 +227,7 @@ class TargetColumns:
         self._parts.append(blocks)
 
     def _demand_an_end(self, blocks: Blocks) -> None:
-        """Reject a program that would take days; its slowest line has a wrong feed."""
+        """Reject a program that would take days; the error names its slowest line."""
         step = np.diff(
             blocks.tip, axis=0, prepend=blocks.tip[:1] if self._tip is None else self._tip
         )

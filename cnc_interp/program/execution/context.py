@@ -27,7 +27,7 @@ from cnc_interp.program.text.flow import Flow
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
-#: State saved by M70: modal values, and outputs; without outputs at M6.
+#: State saved by M70: modal values and outputs; M6 saves it without outputs.
 State = tuple[dict[str, object], dict[str, str] | None]
 
 
@@ -64,7 +64,7 @@ class Execution:
         self.tool = self.chosen_tool = setup.tool
         self.has_tool = False  # whether the last M6 names the tool in the spindle
         self.outputs: dict[str, str] = {}  # the last M code of each output
-        #: What functions have set last: G94 or G95, and what ``SURFACE`` names with G96.
+        #: Last set by functions: G94 or G95, and with G96 the values that ``SURFACE`` names.
         self.states: tuple[str, tuple[float, ...]] = 'G94', ()
         self.times: dict[str, float] = {}  # letters of the dwell of this block
         self.set_here: dict[str, str] = {}  # by modal value, the code of this block

@@ -33,10 +33,10 @@ class Phase(Enum):
 class Word:
     act: Callable[[Execution, str, BlockWords], None]
     phase: Phase = Phase.SET
-    #: Whether it is allowed between G41 or G42 and G40, and in polar coordinates (G16).
+    #: Whether the word is allowed between G41 or G42 and G40, and in polar coordinates (G16).
     beside_contour: bool = True
     in_polar: bool = True
-    takes_f: bool = False  #: Whether its F has another meaning than feed.
+    takes_f: bool = False  #: Whether F in its block has another meaning than feed.
 
 
 def _each(words: Iterable[str], act: Callable[..., None], **given: Any) -> dict[str, Word]:

@@ -135,7 +135,7 @@ def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def _contact_normals(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G41.2, G42.2; D, R: of the tool; Q, P: of the tool whose tips X Y Z are."""
+    """Process G41.2, G42.2; D, R: of the tool in use; Q, P: of the tool whose tips X Y Z are."""
     mover, values, chosen = at.mover, words.values, cutter_of(at, words)
     corner = chosen.corner_radius
     if 'R' in values:

@@ -136,7 +136,7 @@ def write_setup(at: Execution, _: str, words: BlockWords) -> None:
 
 
 def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> None:
-    """Process G10 L1, the length of a tool, and L10, L11, which set it by what Z reads here."""
+    """Process G10 L1, the length of a tool; L10, L11 set it so that Z reads a value here."""
     mover, frames, values = at.mover, at.mover.frames, words.values
     at.demand(
         number in range(1, MOST_TOOL + 1),
@@ -216,7 +216,7 @@ def shift_frame(at: Execution, _: str, words: BlockWords) -> None:
 
 
 def preset(at: Execution, _: str, words: BlockWords) -> None:
-    """Process G92: suspended values do not come back, as in LinuxCNC."""
+    """Process G92: suspended values are not restored, as in LinuxCNC."""
     mover, frames = at.mover, at.mover.frames
     mover.demand_no_scale('G92')
     here, amounts = mover.here(), frames.g92.copy()

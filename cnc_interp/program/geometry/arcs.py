@@ -22,7 +22,7 @@ PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
 RADIUS_SHARE, RADIUS_LEAST = 1e-3, {MM: 0.02 * np.sqrt(2.0) * MM, INCH: 2e-3 * np.sqrt(2.0) * INCH}
 LEAST_TO_MOST = 100.0
 SHORTAGE, SHORTAGE_MOST = 0.0127 * MM, 0.5 * MM
-#: A larger difference gives a notice [m].
+#: A larger difference of the radii gives a notice [m].
 TOLD = 0.0127 * MM
 _SAME_POINT = 1e-12
 _FARTHEST_CENTRE = 1e6  #: A centre farther away than this is an error of the program [m].

@@ -16,8 +16,8 @@ import numpy as np
 from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.program.text.words import BlockWords
 
-#: Below this sine of the angle to the tool axis, a normal counts as parallel. Up to the second
-#: value the side on which the tool touches is uncertain [-].
+#: Below this sine of the angle to the tool axis, a normal counts as parallel to it. Up to the
+#: second value the side on which the tool touches is uncertain [-].
 PARALLEL, UNSURE = 1e-6, 1e-3
 ROUNDED = 1e-4  #: A normal may point down the tool by this cosine, because programs round.
 FLANK = 1e-3  #: The flank of the tool touches if the cosine of normal and tool axis is less.

@@ -4,7 +4,7 @@ Each element is offset by d, positive to the left (G41): a line along its normal
 radius R - d if it runs counter-clockwise, else R + d. At an outer corner the tool rolls about the
 vertex; at an inner one the offsets are cut where they meet. Points in the plane are complex.
 
-The first line ends beside the start of the next element, or beside its own end (LinuxCNC).
+The first line after G41 ends beside the start of the next element, or its own end (LinuxCNC).
 
 Where the contour meets itself, it closes a loop, and the tool must not cut into that loop.
 Elements that lead to the loop and away from it are leads, which may be cut.

@@ -1,7 +1,7 @@
 """Program coordinates: the one system in which places are shown to people.
 
-They are the values of X Y Z A C that the next line (or the executed line) would need for the axes
-to be at their current positions, with all offsets in effect there:
+They are the values of X Y Z A C with which the next line (or the executed line) would move the
+axes to their current positions, with all offsets in effect at that line:
 
     program = turn^T (point - origin - length * along)
 

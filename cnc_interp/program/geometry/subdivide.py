@@ -1,6 +1,7 @@
 """Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
 
-The deviation of a piece falls with the square of its length, so one trial gives their number.
+The deviation of a piece falls with the square of its length, so one trial gives the number of
+pieces.
 """
 
 from collections.abc import Callable

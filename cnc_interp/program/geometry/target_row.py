@@ -10,20 +10,20 @@ from cnc_interp.machine_model.machine import Machine
 #: Tool tip, or axis positions minus those of the workpiece zero [m]; tool axis [-], NaN if rotary
 #: words give it; rotary positions [rad].
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
-#: Whether words have named rotary axes; whether the axis turns on a great circle, or linearly.
+#: Whether words have named rotary axes; whether the tool axis turns on a great circle.
 NAMED, GREAT_CIRCLE = 8, 9
 FEEDRATE, DURATION = 10, 11  #: [m/s], [s]; one of them is used.
 RAPID, EXACT_STOP = 12, 13  #: Whether it is a rapid; 1 for an exact stop, or ``AT_M1``, ``AT_M0``.
 CONTOUR, ORIENTATION, LINE = 14, 15, 16  #: Tolerances [m], and the line of the main program.
-#: Whether POINT is axis positions, or ``COMBINED`` if F is the speed of all axes with degrees
+#: Whether POINT holds axis positions, or ``COMBINED`` if F is the speed of all axes with degrees
 #: taken as millimetres; feedrate of rotary axes [rad/s].
 AXES, TURN_RATE, COMBINED = 17, 18, 2.0
 #: Centre [m], normal [-] and sweep [rad] of an arc, NaN without; positions of the extra
 #: axes in their order [m or rad].
 CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
-#: How often the line at which a run starts was reached before the target; the reader counts.
+#: How often the start line of a run was reached before the target, as counted by the reader.
 PASSES = 29
-#: How many changes of the setup, and functions, come before it; ``TargetColumns`` counts.
+#: Number of setup changes and functions before it, as counted by ``TargetColumns``.
 CHANGES = 30
 #: Modal state, motion code and feed, in the form of ``ModesOfBlocks.see``.
 MODES, MOTION, FEED = slice(31, 34), 32, 33

@@ -66,7 +66,7 @@ class ModalValues:
         has_handler=True,
     )
     tcp: str = _mode('')  #: Word that switched tool-tip programming on; empty if off.
-    #: Whether the tool was turned to a tilted plane, until that ends.
+    #: Whether the tool has been turned to the tilted plane in effect.
     oriented: bool = _mode(False, recorded=False)
     feedrate: float | None = _mode(None, recorded=False)  #: With G95 [m per rev/min], else [m/s].
     turn_rate: float = _mode(nan, recorded=False)  #: Feedrate of rotary axes [rad/s].

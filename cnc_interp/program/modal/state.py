@@ -145,7 +145,7 @@ class ModalState(ModalValues):
         #: Offset of the tool from its programmed place after G40 [m]; None if there is none.
         self.beside: FloatArray | None = None
         self.leaves_contour = False  # whether the next motion leads away from a contour
-        #: Positions of the extra axes, which count from their machine zero [m or rad].
+        #: Positions of the extra axes, measured from their machine zero [m or rad].
         self.extra = self.targets.extra_start.copy()
         self._along = extra_directions(geometry.machine)
         #: Tool axis from direction words; None if rotary words were the last ones.
@@ -247,7 +247,7 @@ class ModalState(ModalValues):
 
     @property
     def by_axes(self) -> bool:
-        """Whether axis words are axis positions: with rotary or extra axes, and without TCP."""
+        """Whether axis words are axis positions, as with rotary or extra axes without TCP."""
         by_words = bool(self.rotary_letters or self.extra_letters) and not self.tcp
         return by_words and self.geometry.machine.arm is None
 

@@ -35,7 +35,7 @@ OF_GAUGE_POINT, OF_TURN = 0.5, 0.4
 
 
 class Mover(ArcTargets):
-    corner = NO_CORNER  #: At the end of the next line.
+    corner = NO_CORNER  #: Corner at the end of the next line.
     #: A line that waits for the next one: its corner, place in the text, start [m] and row.
     held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...], int] | None = None
 
@@ -198,7 +198,7 @@ class Mover(ArcTargets):
                 self.beside, self.point = stands - self.point, stands
 
     def turn_to(self, point: FloatArray, rotary: FloatArray) -> None:
-        """Add a rapid as if words had named the axes; before any motion it sets the start."""
+        """Add a rapid as if words had named the axes; before any motion, set the start instead."""
         self.named = float(bool(self.rotary_letters))
         if self.targets.empty:
             self.point, self.rotary = point, rotary
@@ -213,7 +213,7 @@ class Mover(ArcTargets):
                 self.targets.change(step, self.flow.main_line)
 
     def in_step(self, code: str, point: FloatArray, pitch: float, comes_back: bool) -> None:
-        """Move to a point in step with the spindle, ``pitch`` a turn [m], and maybe back."""
+        """Move to a point in step with the spindle, ``pitch`` per turn [m], and maybe back."""
         self.refuse_if(
             self.by_surface_speed or not self.spindle_speed > 0.0,
             'needs S, the speed in rev/min',
@@ -337,7 +337,8 @@ class Mover(ArcTargets):
     def machine_words(self, words: BlockWords) -> str:
         """Decide the meaning of machine coordinates while X Y Z are tool tips.
 
-        If they are axis positions, tool-tip programming is off until the returned word.
+        If they are axis positions, switch tool-tip programming off, and return the word that
+        switches it on again.
         """
         turned = self.vector is not None or bool(self.rotary.any() or self.extra.any())
         turned = turned or any(words.values.get(letter) for letter in self.rotary_letters)
@@ -379,7 +380,7 @@ class Mover(ArcTargets):
         feed_given: bool = True,
         rapid: bool | None = None,
     ) -> None:
-        """Add a target [m, rad], with an axis of direction words; ``rapid`` None: as G0 to G3."""
+        """Add a target [m, rad], ``vector`` by direction words; ``rapid`` None: by G0 to G3."""
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
             raise self.fault(

@@ -15,14 +15,14 @@ from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.program.motion.block_motion import Mover
 from cnc_interp.program.text.words import BlockWords
 
-#: Codes that define a plane; these together with codes that turn the tool to it.
+#: Codes that define a plane; these and the codes that turn the tool to it.
 DEFINING = {'G68', 'G68.2', 'G68.3', 'G68.4'}
 CODES = DEFINING | {'G53.1', 'G53.3', 'G53.6'}
 #: Orders of rotations: about turned axes (Euler), and about fixed axes.
 EULER = (313, 323, 121, 131, 212, 232)
 FIXED = (123, 132, 213, 231, 312, 321)
 SMALL = 1e-6  #: Tolerance for parallel and perpendicular directions [-].
-#: Where CYCLE800 has its arguments: after retract and name of the swivel data come these.
+#: Indices of the arguments of CYCLE800; retract and name of the swivel data come before.
 STATE, MODE, BEFORE, ANGLES, AFTER, DIRECTION = 2, 3, slice(4, 7), slice(7, 10), slice(10, 13), 13
 BY_AXES, SOLID, PROJECTED, DIRECT = range(4)  #: Kinds of angles of CYCLE800.
 

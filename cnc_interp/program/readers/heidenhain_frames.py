@@ -1,6 +1,6 @@
 """Frames of Heidenhain, each relative to the last: datum shift (cycle 7), planes, rotation (10).
 
-Mirroring (8) and scaling (11, 26) are about the zero of these frames, and are applied innermost.
+Mirroring (8) and scaling (11, 26) are about the zero of these frames, and are applied first.
 """
 
 from collections.abc import Mapping, Set
@@ -125,7 +125,7 @@ class HeidenhainFrames:
     def tilt(
         self, kind: str, values: Mapping[str, float], way: str, choice: int, table: bool
     ) -> None:
-        """Process PLANE: the axes move there (MOVE, TURN), or by later words (STAY)."""
+        """Process PLANE: the rotary axes move at once (MOVE, TURN), or by later words (STAY)."""
         if kind == 'RESET':
             self._tilted.cancel()
             self._turn, self._waits = None, False

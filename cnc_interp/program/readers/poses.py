@@ -1,7 +1,8 @@
 """A table of poses, or a recorded nav_msgs/Path, to motion targets.
 
 A pose is that of the TCP of an arm in the part: its Z points out of the tool into the part, and
-its X is the side of the tool. So it also gives the turn of the tool about its axis, the spin.
+its X is the side of the tool. So the pose also gives the spin, the turn of the tool about its
+axis.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class Dialect:
     name: str
     title: str
     starts_with: int | None = None  #: Motion code after a reset (0 to 3), or None.
-    #: Whether the line of G41 or G42 ends beside its own end, else beside the start of the next.
+    #: Whether the line of G41 or G42 ends beside its own end, not beside the start of the next.
     own_entry: bool = False
     #: Whether an incremental word after a new frame also runs through its shift (SD42440).
     runs_shifts: bool = False

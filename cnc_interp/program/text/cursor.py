@@ -18,7 +18,7 @@ _HEAD = rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?'
 
 @dataclass(frozen=True)
 class Structure:
-    """The words of a structure in a dialect, with patterns of their surroundings."""
+    """The words of a structure in a dialect, with patterns of the text around them."""
 
     label: str = ''  #: Identifier, as the number of an O word; empty if structures nest.
     before: str = ''

@@ -94,7 +94,7 @@ _TOO_DEEP = 'the expression is nested too deeply; use parameters'
 _PLACES = {'$AA_IW': 5041, '$P_EP': 5041, '$AA_IM': 5021, '$AA_MW': 5061}
 _ANSWERED = {'$AC_MEA[1]': 5070}
 _AXIS = re.compile(r'(\$\w+\s*\[\s*)([A-Z])(?=\s*\])')
-_FIRST_TEXT = 1e9  #: Texts are numbers from here on, so that they can be compared.
+_FIRST_TEXT = 1e9  #: Texts are numbered from this value on, so that they can be compared.
 
 Node = Any
 

@@ -1,4 +1,4 @@
-"""The largest squared speed from which the rest of a path can be driven: toppra's linear programs.
+"""The largest squared speed at which the rest of a path can be followed: toppra's linear programs.
 
 The backward pass of TOPP-RA [PP2018, Algorithm 1] with ``seidel``. The unknowns of a step are
 b = s_dot^2 at its start and the change of b, divided by the largest b, so that any unit will do.
@@ -20,7 +20,7 @@ from toppra.constraint import LinearConstraint
 from toppra.interpolator import AbstractGeometricPath
 from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
-ROUNDING = 1e-7  #: Share of the largest b that is added: the solver has fixed small numbers.
+ROUNDING = 1e-7  #: Share of the largest b that is added: the solver's tolerances are fixed.
 
 
 class _Steps(AbstractGeometricPath):  # type: ignore[misc]

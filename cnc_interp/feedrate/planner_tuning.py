@@ -24,7 +24,7 @@ class PlanOptions:
     gap: float = 5e-5  #: Accepted gap to the optimum, relative to the time [-].
     window_ratio: float = 2.5  #: Length of a window in horizons; one is committed later [-].
     window_cells: int = 4000  #: Largest number of path cells in one window.
-    bound: bool = True  #: Whether the least time is computed; the law is the same.
+    bound: bool = True  #: Whether the least time is computed; it does not change the law.
     below_ceiling: bool = False  #: Whether the jerk stage starts below the ceiling.
     reserve: float = 0.029  #: Part of a limit left free where a law could not brake [-].
 
@@ -40,7 +40,7 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class KeptCells:
-    """The first cells of a stretch in an older plan, kept so that its law stays feasible."""
+    """The first cells of a stretch in an older plan, kept so that the older law stays feasible."""
 
     ends: FloatArray  #: (k,): Path positions at the ends of the cells [m].
     scale: FloatArray  #: (k, 4, n_axes): Parts of the limits that these cells may use [-].

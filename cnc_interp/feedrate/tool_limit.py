@@ -41,7 +41,7 @@ STEADY_PART = 0.8  #: Largest part of its limit that friction and backlash may t
 AIM, EXCESS_FACTOR = 0.985, 1.3  #: Use that a correction aims at; factor on the excess.
 NEARBY = 0.02  #: An error is attributed to the motion within this time before and after it [s].
 RUN_UP = 0.6  #: Time before a start in motion for which the drives are simulated [s].
-STANDS = 0.5  #: Way of the tip per path length below which only the tool axis moves [-].
+STANDS = 0.5  #: Travel of the tip per path length below which only the tool axis moves [-].
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class ToolLimit:
         return ToolRows(self, self.rows(left, right), kept)
 
     def _across(self, q: FloatArray, q_s: FloatArray) -> FloatArray:
-        """Return the error in each normal by the errors of the axes, shape (8, n, n_axes)."""
+        """Return the error along each normal per error of each axis, shape (8, n, n_axes)."""
         tip, axis, o = self._jacobians(q)
         way, turn = np.einsum('nck,nk->nc', tip, q_s), np.einsum('nck,nk->nc', axis, q_s)
         speed = np.linalg.norm(way, axis=1)
@@ -181,7 +181,8 @@ class ToolLimit:
     def use(self, stretch: Stretch, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Simulate the drives on a law; return simulated and predicted errors, (2, n).
 
-        Near each cell, over the limit; ``predicted`` (2, n): by the rows, at the left nodes.
+        Both are the largest near each cell, divided by the limit; ``predicted`` (2, n): use of the
+        limit according to the rows, at the left nodes.
         """
         assert self.motion is not None, 'begun is called before'
         law, motion = stretch.law(0.0, len(stretch.duration)), self.motion.copy()

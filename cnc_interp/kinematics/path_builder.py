@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from cnc_interp.kinematics.joint_passage import JointPassages
 
 SAME_POSE = 1e-9  #: A tool that differs from a pose by less is in that pose [m, -].
-SAME_TOOL = 1e-12  #: A curve whose tool vectors differ by less does not turn the tool [m];
-ROUNDING = 1e-14  #: below this share of their coordinates they are equal [-].
+SAME_TOOL = 1e-12  #: A curve whose tool vectors differ by less does not turn the tool [m].
+ROUNDING = 1e-14  #: Tool vectors that differ by less than this share of their size are equal [-].
 #: A kink becomes a stop if its jerk, in one period, exceeds this share of the limit [-].
 KINK_JERK = 0.02
 

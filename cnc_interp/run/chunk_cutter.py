@@ -1,7 +1,7 @@
 """Stops along the path: the tail of each chunk, and the braking motion to another plan.
 
-A tail follows the plan to the next setpoint that has a stop, and then that stop. A plan that
-joins in motion is never slower than a stop from there (``way_down``).
+A tail follows the plan to the next setpoint that has a stop, and then that stop. A plan that joins
+in motion is never slower there than a stop would be (``way_down``).
 """
 
 from collections import deque
@@ -83,7 +83,7 @@ class FunctionQueue:
         return np.asarray(share * np.where(value(PER_TURN) == 0.0, 1.0, turns))
 
     def told(self, done: int) -> None:
-        """Note the number of functions that the machine has executed, limited to those sent."""
+        """Record how many functions the machine has executed, at most those sent."""
         self.done = min(done, max(self._sent, self.done))
 
     def push(self, functions: Functions) -> None:
@@ -150,7 +150,7 @@ class ChunkCutter:
         return chunks
 
     def _chunk(self, samples: Setpoints, tail: Setpoints, wait: Wait) -> Chunk:
-        """Return a chunk with its functions; the way to the path switches after cycle_start."""
+        """Return a chunk with its functions; an approach has none, they follow cycle_start."""
         if wait is Wait.APPROACH:
             return Chunk(samples, tail, wait)
         last = int(samples.block[-1])

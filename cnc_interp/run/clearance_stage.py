@@ -113,7 +113,7 @@ class LiveClearance:
     def __init__(self, clearance: PathClearance, mode: str, line_of: Callable[[int], int]):
         self._clearance, self._mode, self._line_of = clearance, mode, line_of
         self._functions = Functions.none()
-        #: Hits so far; a run that is not only warned is rejected at the first.
+        #: Hits so far; the first one ends the run, unless hits only give warnings.
         self.hits: list[Hit] = []
         self.stock: CutStock | None = None  #: Stock at the end of the checked part.
 

@@ -44,7 +44,7 @@ class Estimate:
     def half_width(self) -> float:
         """Half of the interval of 95 % of the total time [s]; 0: not known.
 
-        Spindle times at speeds that were not measured may be wrong by half.
+        Spindle times at speeds that were not measured may be wrong by 50 %.
         """
         motion = sum(one.times.cutting + one.times.rapid for one in self.sections)
         spindle = sum(one.times.spindle for one in self.sections if self.other_speeds)

@@ -265,7 +265,7 @@ class MotionStream:
         return before
 
     def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
-        """Replan from rest at s [m], numbered from 0; ``way`` leads there, at s < 0."""
+        """Replan from rest at s [m], numbered from 0; ``way`` is the path to s, at s < 0."""
         if way is not None:
             self.course.lead(way, s)
             s = float(way.s[0])

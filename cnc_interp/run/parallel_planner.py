@@ -210,7 +210,7 @@ class ParallelPlanner:
             process.kill()
 
     def _give(self, section: PathSection) -> None:
-        """Give a section to the process with the begin of its stretch, or with the least work."""
+        """Give a section to the process that began its stretch, or to that with the least work."""
         if not self._processes:
             # All are forked at once, because a process with threads must not fork.
             self._processes = [PlannerProcess(self._planning) for _ in range(self._most)]

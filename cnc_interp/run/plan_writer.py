@@ -56,7 +56,7 @@ CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 
 class PlanWriter:
-    """Writes the plan files of one program, as a context; only ``finish`` makes them exist."""
+    """Writes the plan files of one program, as a context; they exist only after ``finish``."""
 
     def __init__(self, directory: Path, machine: Machine, settings: Settings):
         self._directory, self._height = directory, settings.flank_height

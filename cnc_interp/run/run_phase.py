@@ -83,9 +83,9 @@ LEFT = 'the machine was reset, or machine_node started again; run the program ag
 
 @dataclass(frozen=True)
 class MachineReport:
-    run_id: RunId  #: The run that it executes or has executed last.
-    state: State  #: Its state.
-    plan_over: bool  #: It left the plan by a stop tail and rests; another plan must follow.
+    run_id: RunId  #: The run that the machine executes or has executed last.
+    state: State  #: State of the machine.
+    plan_over: bool  #: The machine left the plan by a stop tail; another must follow.
     #: Whether cycle_start was requested before enough setpoints were buffered.
     start_wanted: bool
     completed: bool  #: The run was executed to its end.

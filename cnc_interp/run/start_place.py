@@ -89,7 +89,7 @@ class StartFinder:
         self._before: Blocks | None = None  # the last row read
         self._vertex: Blocks | None = None  # the row before the start, and its first row
         self._kept: AxisPath | None = None
-        #: Part before the start, of the latest part of the path.
+        #: What lies before the start in the latest part of the path.
         self.before: AxisPath | None = None
         self._s: float | None = None
         self._position = np.zeros(0)
@@ -226,7 +226,7 @@ def way_inside(
 ) -> FloatArray:
     """Return the corners of the approach to a position in the program, (5, n_axes) [m, rad].
 
-    The tool is drawn back by ``retract``, or farther if the other end lies higher along it.
+    The tool is drawn back by ``retract``, or farther if the other end lies higher along the tool.
     """
     here, there = tool_line(transform, stands), tool_line(transform, place)
     plunge = min(retract, there.travel[1])

@@ -72,7 +72,7 @@ class Emission:
         )
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
-        """Return lines between corners, and rotations; first the vertices before them."""
+        """Return the vertex before each line between corners or rotation, and these segments."""
         rows, legs, outer, stop = self.rows, self.legs, self.outer, self.vertex == STOP
         blocks = rows.blocks
         start, end = outer[:last, 1], legs.length[:last] - outer[1 : last + 1, 0]

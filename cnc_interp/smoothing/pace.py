@@ -25,8 +25,8 @@ def pace_limits(
     there is v = jump / (2 sin(turn / 2)). On the block between two vertices the speed rises and
     falls again with the jerk J. With x the square root of the rise over J, a block of length L
     takes 4 x: ``2 J x^3 + 4 v x = L``. The feed of a block is at most its mean speed L / (4 x),
-    and at most L over the time that the control needs for a block. Sharper turns are corners,
-    which the planner slows down for itself.
+    and at most L over the time that the control needs for a block. Sharper turns are corners, for
+    which the planner itself slows down.
     """
     with np.errstate(divide='ignore'):
         v = np.minimum(pace.jump / (2.0 * np.sin(0.5 * turn)), feed)
@@ -44,9 +44,10 @@ def rise_root(v: FloatArray, length: FloatArray, jerk: float) -> FloatArray:
 def mean_turns(length: FloatArray, turn: FloatArray, stop: BoolArray) -> FloatArray:
     """Return the turns of blocks if the path near each were bent evenly, all (n,) [m, rad].
 
-    A recorded control slows down for ten chords of a slot's end half as much as for the same
-    chords in a full circle: it judges the path over some length, not vertex by vertex. This
-    length ends where the tool rests; ``stop`` (n,): at the end of the block.
+    In records, a control slows down half as much for ten chords at the end of a slot as for the
+    same chords in a full circle, because it judges the path over some length, not vertex by
+    vertex. This length ends where the tool rests; ``stop`` (n,): whether it rests at the end of
+    the block.
     """
     bent, way, n = turn.copy(), length.copy(), len(length)
     lengths, turns = (np.pad(one, NEAR) for one in (length, turn))

@@ -144,7 +144,7 @@ class StopChoice:
         return len(rows)
 
     def keep(self, rows: Rows, vertex: IntArray, last: int) -> None:
-        """Note that the rows up to ``last`` are decided; the next rows begin there."""
+        """Record that the rows up to ``last`` are decided; the next rows begin there."""
         if self._choice is None:
             return
         blocks, plain = self._decided(rows[: last + 1], vertex)

@@ -31,7 +31,7 @@ def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState
 def executed_setpoints(
     playback: Playback, period: float
 ) -> list[tuple[msg.SetpointChunk, msg.AxisFeedback]]:
-    """Return setpoints executed since the last call, and feedback; numbers run through the run."""
+    """Return setpoints and feedback since the last call, numbered from the start of the run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
     queue = playback.switching.switched
     switched = [queue.popleft() for _ in range(len(queue))]

@@ -76,7 +76,7 @@ class WindowedSender(Generic[Item]):
         return not self._items
 
     def due(self, now: float) -> list[Numbered[Item]]:
-        """Return the items to send now, lost ones included; the first may ignore the window."""
+        """Return the items to send now, lost ones included; the first may exceed the window."""
         if self._in_flight and now - self._since > self._patience:
             self._lost()
             self._patience = min(2.0 * self._patience, MOST_PATIENT * self.resend_after)

@@ -4,11 +4,11 @@ A row whose rotary axes run linearly is a line in coordinates c: X Y Z of the ax
 of the tip (ROTARY_LINEAR), both rotary axes, and the extra axes. The length of such a line counts
 the rotary axes at flank height, ``|c|^2 = x^2 + y^2 + z^2 + (h a)^2 + (h b)^2 + w^2``. A corner
 between two such lines is the cubic B-spline of [B2013, section 2.2] in all coordinates at once.
-There is no tool axis to be solved back, so there is no singular point, and every axis is C2.
+No tool axis must be converted to axis positions, so no point is singular, and every axis is C2.
 
 Bound of the deviation. With unit vectors v and w from the corner along both lines, the curve is
 ``Q + a v + b w``. Here a falls from L2 to 0 and b rises from 0 to L2, because a cubic B-spline
-rises and falls with its control values. Three programmed points are compared with it. From
+rises and falls with its control values. Three programmed points are compared with this curve. From
 ``Q + a v`` it differs by ``b w``, from ``Q + b w`` by ``a v``, and from the point at ``a - b``
 along v (at ``b - a`` along w) by ``min(a, b) (v + w)``, at most ``L1 / 4 (v + w)`` (Eq. 3 in any
 number of coordinates). A point on the tool moves in W by at most
@@ -86,14 +86,16 @@ class AxisCorners:
     """Corners between lines in coordinates, at n vertices."""
 
     row: IntArray  #: (n,): Vertices.
-    #: (n,): Whether both lines can be expressed in the same coordinates. Else the tool must rest.
+    #: (n,): Whether both lines can be expressed in the same coordinates. If not, the tool must
+    #: rest.
     joined: BoolArray
     in_axes: BoolArray  #: (n,): Whether the coordinates are machine axes.
     point: FloatArray  #: (n, 5 + k): Coordinates of the corners [m, rad].
     #: (n, 2, 5 + k): Their change per metre from the corner along the lines before and after it.
     legs: FloatArray
     tolerances: FloatArray  #: (n, 2): Contour and orientation tolerance [m].
-    #: (n, 2, 2): Distance of the tip and of the top point from both rotary axes [m]; 0 with tips.
+    #: (n, 2, 2): Distance of tip and top point from both rotary axes [m]; 0 if X Y Z are those of
+    #: the tip.
     levers: FloatArray
     height: float  #: Flank height [m].
 
@@ -106,7 +108,7 @@ class AxisCorners:
         machine: FiveAxis,
         height: float,
     ) -> AxisCorners:
-        """Collect corners beside linear blocks; ``still``: blocks where the tip moves alone."""
+        """Collect corners beside linear blocks; ``still``: blocks where only the tip moves."""
         before, after = rows - 1, rows
         first, second = axes.linear[before], axes.linear[after]
         in_axes = (first & axes.in_axes[before]) | (second & axes.in_axes[after])

@@ -43,7 +43,7 @@ from cnc_interp.smoothing.orientation import turned_by
 
 LEAST_RATIO = 1.5  #: Smallest ratio L2/L1 if the lines are too short for the tolerance.
 LEAST_TOP_RATIO = 1.4  #: The same for the top polygon with ``tolerance``.
-#: L2/L1 of literal corners, and how often they shrink on top alone, before both curves shrink.
+#: L2/L1 of literal corners; number of times that only the top shrinks, before both curves do.
 PAPER_RATIO, TOP_TURNS = 1.4, 4
 LARGEST_TURN = 0.7  #: Largest turn of the tool axis on each side of one corner [rad].
 #: A corner whose deviation over tolerance is below this value is accepted [-].

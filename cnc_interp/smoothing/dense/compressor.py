@@ -309,7 +309,7 @@ class Made(NamedTuple):
     used: FloatArray
     feed: float
     stop: bool
-    #: Whether a curve joins it smoothly at its start, and at the end of a line.
+    #: Whether a curve joins the start of the row smoothly; whether one joins the end of a line.
     smooth: bool
     leads: bool
     curve: Window | None = None

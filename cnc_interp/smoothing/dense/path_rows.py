@@ -11,7 +11,7 @@ from cnc_interp.core.tables import Table, column
 from cnc_interp.program.blocks import Blocks
 
 TOLERANCES = 'contour_tolerance', 'orientation_tolerance'
-#: A block that moves less counts as not moving [m]; angles count at flank height. Way and turn
+#: A block that moves less counts as not moving [m]; angles count at flank height. Travel and turn
 #: together displace the point at flank height by less than 1 nm, which the proof ignores.
 STANDSTILL = 0.5e-9
 
@@ -39,7 +39,7 @@ def settled(blocks: Blocks, before: Blocks, height: float) -> Blocks:
     So the path continues from there without a step. Small steps may add up to a motion, so
     distances are measured from the last end that moved. The next block takes the smaller
     tolerances of both, because their corners have become one. ``before`` has the last two rows of
-    the call before, and comes first in what is returned.
+    the previous call; the returned rows begin with them.
     """
     rows = Blocks.concatenate([before, blocks])
     still = np.append(False, way_between(rows[:-1], rows[1:], height) < STANDSTILL)

@@ -150,7 +150,7 @@ class ChunkCutter:
         return chunks
 
     def _chunk(self, samples: Setpoints, tail: Setpoints, wait: Wait) -> Chunk:
-        """Return a chunk with its functions; an approach has none, they follow cycle_start."""
+        """Return a chunk with its functions; an approach has none before cycle_start."""
         if wait is Wait.APPROACH:
             return Chunk(samples, tail, wait)
         last = int(samples.block[-1])

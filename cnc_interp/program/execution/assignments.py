@@ -13,10 +13,8 @@ from cnc_interp.program.text.control_traits import FANUC
 from cnc_interp.program.text.expressions import ExpressionError
 from cnc_interp.program.text.words import BlockWords
 
-ALARM, STOP = (
-    3000,
-    3006,
-)  #: Variables that a macro sets to raise an alarm with its text, or to stop.
+#: Variables that a macro sets to raise an alarm with its text, or to stop.
+ALARM, STOP = 3000, 3006
 IDLE = {
     3001,
     3002,

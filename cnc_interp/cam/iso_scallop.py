@@ -54,11 +54,11 @@ CLOSER_PLANES, CLOSEST = 12, 0.7
 #: Share of the distance below which other yaws are tried, and their differences [rad].
 NEAR, TURNS = 0.75, (20.0 * DEG, -20.0 * DEG, 40.0 * DEG, -40.0 * DEG)
 HIDDEN = 20.0 * UM  #: Largest distance from the scallop of the previous pass [m].
-ENDS = 3  #: Points at both ends that are exempt, because the angles are free there.
+ENDS = 3  #: Points at both ends without this limit, because the angles are free there.
 
 
 class NoPassError(UnfitError):
-    """No posture leaves the scallop, because the plane distance does not fit the curvature."""
+    """No posture leaves the wanted scallop: the plane distance does not fit the curvature."""
 
 
 class HeelError(UnfitError):

@@ -82,7 +82,8 @@ class Pass:
 def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -> FloatArray:
     """Return the distance of scallop points, lifted to the guiding surface, from the plane.
 
-    On a slope the contact point lies beside the plane; only there both half widths agree.
+    On a slope the contact point lies beside the plane; only on the guiding surface both half
+    widths agree.
     """
     lifted = scallops.position + postures.cutter.corner_radius * scallops.normal
     return np.abs(dot(lifted - postures.frames.position, normal))

@@ -131,7 +131,7 @@ def chord_error(
     return np.maximum(across, norm(middle_top - top[:, 0] - scaled(share, chord_top)))
 
 
-NOTICED = 0.5 * MM  #: Length that is left out before a note says so [m].
+NOTICED = 0.5 * MM  #: A note reports that more than this length is left out [m].
 
 
 @dataclass(frozen=True)

@@ -44,13 +44,13 @@ TOOL_OUTPUTS = ('tool_number', TOOL)
 class Certificates(Table):
     """Rows of ``collision.npz``: certificates that pieces keep apart, and hits."""
 
-    begin: FloatArray = column()  #: Path length at the begin of the interval, or of a hit [m].
+    begin: FloatArray = column()  #: Path length at the start of the interval, or of a hit [m].
     end: FloatArray = column()  #: Path length at its end [m].
     pair: IntArray = column(2)  #: Numbers of both pieces, A and B.
     #: Unit vector from A to B along which they keep apart, in the frame of B's link [-].
     normal: FloatArray = column(3)
-    hit: BoolArray = column(default=False)  #: Whether they hit at the begin.
-    #: Of a hit: points of A and of B in the frames of their links, nearer than the clearance [m].
+    hit: BoolArray = column(default=False)  #: Whether both pieces hit at the start.
+    #: For a hit: points of A and of B in the frames of their links, nearer than the clearance [m].
     witness: FloatArray = column(6, default=0.0)
 
 
@@ -62,7 +62,7 @@ def space_of(placed: Placed) -> Space:
 class Nearest:
     """The least distance of bodies at the ends of the cells of the path."""
 
-    distance: float  #: How near they come [m].
+    distance: float  #: Least distance of both bodies [m].
     bodies: tuple[str, str]
     line: int  #: Line of the program.
 
@@ -75,7 +75,7 @@ class ClearanceFigures:
     tests: int = 0
     certificates: int = 0
     pairs: int = 0
-    nearest: Nearest | None = None  #: Between the tool's side of the machine and the other.
+    nearest: Nearest | None = None  #: Between bodies of the tool's side and of the other side.
 
 
 class PathClearance:

@@ -39,7 +39,7 @@ from cnc_interp.machine_model.machine_entries import (
 )
 
 LONGEST_URDF = 1 << 22  #: [bytes].
-TOPIC = 'topic '  #: Begin of ``urdf`` if it names a topic of ROS instead of a file.
+TOPIC = 'topic '  #: Start of ``urdf`` if it names a topic of ROS, not a file.
 #: Guessed times in which a joint reaches its largest velocity and acceleration [s].
 GUESS = (0.4, 0.1)
 ORDERS = ('velocity', 'acceleration', 'jerk')
@@ -204,7 +204,7 @@ def without_files(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _robot(content: dict[str, Any], folder: Path) -> tuple[str, ElementTree.Element]:
-    """Return the URDF as text, which the machine file names or holds, and its content."""
+    """Return the URDF that the machine file names or holds: its text, and its root element."""
     given = str(content['urdf'])
     try:
         text = given
@@ -221,7 +221,7 @@ def _robot(content: dict[str, Any], folder: Path) -> tuple[str, ElementTree.Elem
 
 @cache
 def _published(topic: str) -> str:
-    """Return the last text of a topic, which another process hears: planning needs no ROS."""
+    """Return the last text of a topic, received by another process: planning needs no ROS."""
     command = [sys.executable, '-m', 'cnc_interp.client.robot_description', topic]
     heard = subprocess.run(command, capture_output=True, text=True, check=False)
     told = heard.stderr.strip().splitlines() or ['']

@@ -58,11 +58,11 @@ class ErrorTable:
 
 @dataclass(frozen=True)
 class GeometricErrors:
-    tables: tuple[ErrorTable, ErrorTable, ErrorTable]  #: Of X, Y and Z.
+    tables: tuple[ErrorTable, ErrorTable, ErrorTable]  #: Those of X, Y and Z.
     chain: tuple[int, ...]  #: X Y Z by their numbers, in order from the workpiece to the tool.
     #: (3, 3): Where the tip was while X, Y and Z were measured [m].
     measured_at: FloatArray
-    tool_length: float  #: From the tip of the machine file to that of the usual tool [m].
+    tool_length: float  #: Length from the tip of the machine file to the usual tip [m].
 
     @cached_property
     def bounds(self) -> FloatArray:

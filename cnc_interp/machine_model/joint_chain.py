@@ -180,7 +180,7 @@ class JointChain:
         return found[0], self.sense(found[0])
 
     def refusal(self, q: FloatArray, line: int, singular: bool) -> BlockError:
-        """Say which joint leads to a singular pose near q, and which turn against each other."""
+        """Return the error for a pose out of reach, or singular near q; it names the joints."""
         if not singular:
             return BlockError(
                 f'beyond the reach of {self.machine.name} at spin {self.spin / DEG:g} deg; move '

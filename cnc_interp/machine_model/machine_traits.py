@@ -33,7 +33,7 @@ class MachineTraits:
     geometry: FiveAxis | None = None
     max_jerk: FloatArray | None = None  #: (5 + k,): Jerk limits of all axes.
     turns: bool = False  #: Whether the tool of a machine without a pole can turn.
-    scale: float = 1.0  #: As of ``Machine``: longer blocks of a large arm become curves [-].
+    scale: float = 1.0  #: ``Machine.scale``: longer blocks of a large arm become curves [-].
     pace: BlockPace | None = None  #: Pace of its control on short blocks.
 
     def keeps_tool(self, axis: FloatArray) -> bool:

@@ -63,13 +63,13 @@ TURNING = 'spindle_turning'  #: Condition: the spindle turns, according to its e
 COUNTS, STEP, WHEEL = 'handwheel', 'handwheel_step', 'handwheel_'
 #: Numeric inputs, with their units.
 NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's', COUNTS: '', STEP: ''}
-POWER_FAILS = 'power_fails'  #: Input: the mains are gone, and the supply lasts for a stop.
+POWER_FAILS = 'power_fails'  #: Input: the mains have failed, and the supply lasts for a stop.
 FIXED = 'fixed'  #: Value of M50 and M51: 1 for P0.
 PER_TURN, FEED_FIXED, SPINDLE_FIXED = 'feed_per_turn', 'feed_fixed', 'spindle_fixed'
 SURFACE = ('surface_zero', 'surface_limit', 'surface_speed')
 THREAD = ('thread_x', 'thread_y', 'thread_z', 'thread_turns')
 #: States, with units: G95; disabled overrides (M49); G96 with X of the centre, D and S; a line in
-#: step with the spindle, with the way of each axis per turn, and turns (< 0 to come back as well).
+#: step with the spindle, with the travel of each axis per turn, and turns (< 0: there and back).
 STATES: Mapping[str, str] = {
     **dict.fromkeys((PER_TURN, FEED_FIXED, SPINDLE_FIXED), ''),
     **dict(zip(SURFACE, ('mm', 'rev/min', 'm/min'), strict=True)),
@@ -158,7 +158,7 @@ class Signal:
 class Step:
     """One output that a function sets, and the condition for which the path then rests."""
 
-    word: str  #: Of the program, or one of ``STOPS``.
+    word: str  #: Word of the program, or one of ``STOPS``.
     output: int  #: Number of the output.
     value: float | str  #: Value that is set; a letter means the value of that word.
     #: ``NO_WAIT``; k if condition k - 1 must come on, -k if it must go off;
@@ -167,7 +167,7 @@ class Step:
     limit: float = inf  #: Longest wait [s].
     delay: float = 0.0  #: Time before the input is read and the next step may follow [s].
     ends: bool = False  #: Whether a line in step with the spindle ends there.
-    #: Whether it can break an interlock, which is checked while the path rests.
+    #: Whether the step can break an interlock; interlocks are checked while the path rests.
     guarded: bool = False
 
     @property

@@ -17,7 +17,7 @@ def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
 
 
 def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatArray:
-    """Return the limits for differences: they are averages, so the largest limit applies."""
+    """Return the limits for differences: as averages, they need only keep the largest limit."""
     limits = np.tile(machine.limits.by_order[order - 1], (len(q) - order, 1))
     for j, of in machine.limits.placed:
         around = sliding_window_view(q[:, j], order + 1)

@@ -30,8 +30,7 @@ LAST_DIGIT = 1e-4  #: Value of the last printed digit, in the unit of the progra
 LEAST_FEED = 0.1  #: Lowest feed that rs274 prints for G93 [program units/min].
 #: Processor time [s], and more per MB of the text [s]; memory and length of written files [bytes].
 SECONDS, SECONDS_PER_MB, MEMORY, FILES = 8, 2, 1 << 30, 1 << 26
-#: Largest number of printed lines: BESIDE, and EACH for every row of the plan and line of the
-#: text.
+#: Largest number of printed lines: BESIDE, plus EACH per row of the plan and per line of the text.
 BESIDE, EACH = 1000, 20
 #: Comments, and words of other controls that LinuxCNC rejects and that move nothing.
 _COMMENT = re.compile(r'\([^()\n]*\)|;[^\n]*')

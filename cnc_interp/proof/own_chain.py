@@ -29,8 +29,8 @@ def forward_of(machine: Machine) -> Forward:
 
 @dataclass(frozen=True)
 class OwnChain:
-    #: Fixed transforms (4, 4), and the joint between each two of them: its axis (3,), turned where
-    #: it is crossed from child to parent; whether it slides; its column.
+    #: Fixed transforms (4, 4), and the joint between each two of them: its axis (3,), reversed
+    #: where the chain runs from child to parent; whether the joint slides; its column in q.
     frames: list[FloatArray]
     joints: list[tuple[FloatArray, bool, int]]
 

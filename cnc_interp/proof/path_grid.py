@@ -27,7 +27,7 @@ ROUNDED = 1e-14  #: Bound of rounding errors in axis positions [m, rad].
 SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
 JUMPS = {1: 1e-6, 2: 1e-2}
-#: If a path is longer than the way of its tip by this factor, the tip rests while it turns [-].
+#: If a path is longer than the travel of its tip by this factor, the tip rests while it turns [-].
 TURNS = 1e6
 #: Above this turn of the tool axis per way of the tip, path length counts the turn. The feed of
 #: the tip itself is proven at the setpoints [1/m].

@@ -11,7 +11,7 @@ from cnc_interp.core import MM, FloatArray
 
 #: The line, position [m], tool axis, spin [rad] and feed [m/s] of a pose.
 Pose = tuple[int, FloatArray, FloatArray, float, float]
-#: How such a text begins.
+#: Start of a text with poses.
 TABLE = re.compile(
     r'\s*(?:[xyz\s,;]+q[xyzw]\b|(?:header|poses):\s*$)', re.IGNORECASE | re.MULTILINE
 )

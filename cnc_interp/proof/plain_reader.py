@@ -134,9 +134,9 @@ class ReadMove:
     digit: float = 0.0  #: Value of the last known digit of lengths [m]; 0 if they are exact.
     unsure: float = 0.0  #: Relative uncertainty of feed or duration in this reader [-].
     tolerance: float = float('nan')  #: Contour tolerance [m]; NaN if the settings give it.
-    orientation: float = float('nan')  #: Orientation tolerance [m]; NaN likewise.
+    orientation: float = float('nan')  #: Orientation tolerance [m]; NaN if settings give it.
     stop: bool = False  #: Whether the text demands a rest at its end.
-    #: Whether a rotary axis has been programmed, and its words are end positions of the axes. On
+    #: Whether a rotary axis has been programmed, with words that are end positions of the axes. On
     #: great circles the words give only the direction of the tool.
     worded: bool = False
     #: (3,): Normal of the part, if ``end`` is the cutter contact point.

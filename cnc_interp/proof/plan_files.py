@@ -126,7 +126,7 @@ NO_LENGTH, UNIT = 1e-9, 1e-6
 CHUNK = 1 << 14  #: Rows that are proven at a time.
 MISSING = -1  #: Setpoint number of a function that did not act.
 BY_PROBE = 'the probe has ended it'  #: First words of ``cut`` if a probe ended the motion.
-BY_OPERATOR = 'the operator has ended it'  #: Likewise after a hold or an emergency stop, in a bag.
+BY_OPERATOR = 'the operator has ended it'  #: The same in a bag, if the operator did.
 
 
 class Stored:

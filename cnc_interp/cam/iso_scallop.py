@@ -1,8 +1,8 @@
 """5-axis iso-scallop passes along parallel planes [TL2008]: their options, and all passes.
 
-Neighbouring strips share a border, so an error of a half width is passed on undiminished. The
-recursion starts with a constant half width. The recursion restarts, with a small overlap, if a
-pass cannot be found or strays.
+Neighbouring strips share a border, so an error of a half width passes undiminished to the next
+strip. The recursion starts with a constant half width. The recursion restarts, with a small
+overlap, if a pass cannot be found or its half width strays.
 """
 
 from __future__ import annotations

@@ -2,13 +2,13 @@
 
 The program moves one axis after the other. Moves back and forth at several speeds show friction,
 backlash and lags. Then the axis moves in one direction while its feed alternates faster and faster
-(a chirp), which shows the loops and the flexible mode without sticking. Jerk-limited reversals
-come last. The planner keeps limits and travel, as for any other program.
+(a chirp), which shows the loops and the flexible mode, because the axis never sticks. Jerk-limited
+reversals come last. The planner keeps limits and travel, as for any other program.
 
 The loops have the transfer function (f s + kv) / (tau s^2 + (1 + tau B) s + kv). Positions
-determine only its three ratios, so viscous friction B is taken from the machine file; kv, f and
-tau follow. Forces are determined only relative to the inertia, which is also taken from the file.
-Without an inertia, an axis is fitted without friction.
+determine only the three ratios of its coefficients, so viscous friction B is taken from the
+machine file; kv, f and tau follow. Forces are determined only relative to the inertia, which is
+also taken from the file. Without an inertia, an axis is fitted without friction.
 """
 
 from collections.abc import Iterator, Mapping
@@ -85,7 +85,7 @@ def identify_axis(
     """Fit the model of one axis; None if it did not move.
 
     ``setpoints``, ``rates``, ``feedback`` (K, n_axes): with measured positions [m, rad, per s].
-    Raises InterpError if the axis turned too seldom to show its friction and backlash.
+    Raises InterpError if the axis reversed too seldom to show its friction and backlash.
     """
     rows = _moving(setpoints[:, axis], period)
     if not len(rows):

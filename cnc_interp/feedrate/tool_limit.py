@@ -7,9 +7,9 @@ the row
 
     |n J (c2 q_s) s_ddot + n J (c2 q_ss) b + n J (c1 q_s) s_dot - n J (sign(q_s) away)| <= E.
 
-The tool axis at flank height h has such rows, too. The tip is compared with the nearest place of
-the path. So the axis is off by h (J_o - o_s (t J)) e, where t is the direction of the tip. Four
-normals make an octagon of the circle of radius E.
+The tool axis at flank height h has such rows, too. Because the tip is compared with the nearest
+place of the path, the axis is off by h (J_o - o_s (t J)) e, where t is the direction of the tip.
+Four normals make an octagon of the circle of radius E.
 
 These rows neglect transients after a jerk step, a reversal, or in a flexible mode. Therefore the
 drives are simulated on each law. Where the error exceeds the limit, the limit of the rows is
@@ -131,7 +131,8 @@ class ToolLimit:
     def rows(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return the rows at the left nodes of cells for a limit of 1: (8, 4, n), tip then axis.
 
-        Factors of s_ddot, s_dot^2 and s_dot, and the constant. ``left, right``: jets at both ends.
+        The 4 values are the factors of s_ddot, s_dot^2 and s_dot, and the constant. ``left,
+        right``: jets at both ends.
         """
         q, q_s, q_ss = left[:3]
         across = self._across(q, q_s)

@@ -10,7 +10,7 @@ The *outer* axis u turns about the pole and the *inner* axis w, next to the tool
 table-table: u secondary, w primary, both negated; head-head: u primary, w secondary;
 one of each: u the table axis, negated, w the head axis.
 
-``o . u = c0 + R cos(b - b0)`` gives the tilt, two branches (sign of the sine); the outer angle
+``o . u = c0 + R cos(b - b0)`` gives the tilt on two branches (sign of its sine); the outer angle
 follows from the projections on the plane normal to u. Near the pole o -> +-u the sine is taken
 from |o x u|, which keeps full relative accuracy.
 """

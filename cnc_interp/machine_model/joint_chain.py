@@ -69,7 +69,7 @@ class JointChain:
         return float(np.arctan2(np.cross(x, side) @ axis, x @ side))
 
     def reached(self, tip: FloatArray, axis: FloatArray, stands: FloatArray) -> FloatArray:
-        """Return the joints (n,) for a pose of the tool that are nearest to the present ones.
+        """Return the joint positions (n,) for a pose of the tool, nearest to the present ones.
 
         The tool keeps its spin, and further joints stay. Raises BlockError if no configuration
         reaches the pose.

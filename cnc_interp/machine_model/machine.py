@@ -406,7 +406,8 @@ def placed_machine(
 ) -> Machine:
     """Write the file of a machine whose workpiece is shifted, and turned about its zero; read it.
 
-    With the C axis next to the workpiece, a turn by an angle w needs no turned program:
+    With the C axis next to the workpiece, a turn of the workpiece by an angle w needs no other
+    program:
 
         R_C(C) (R_z(w) p + m) = R_C(C + w) (p + R_z(-w) m)
 

@@ -1,7 +1,7 @@
 """Outputs and inputs of a machine: functions of programs, outputs of stops, and interlocks.
 
-A machine with an output ``SPEED`` also has ``STATES``. Words set them like outputs, but they are
-not sent to drives: the cycle (``machine/spindle.py``) and the feed planner read them.
+A machine with an output ``SPEED`` also has ``STATES``. Words set these states like outputs, but
+they are not sent to drives: the cycle (``machine/spindle.py``) and the feed planner read them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -282,8 +282,9 @@ def signals(
 ) -> Signals:
     """Read ``signals`` of a machine file: a mapping, or the name of a file in config/signals.
 
-    Each of the reference ``switches`` is an input, declared or not. Their axes with an ``index``
-    pulse have ``index_signals``, too, and those to be ``squared`` the output ``square_output``.
+    Each of the reference ``switches`` is an input, declared or not. Axes of these switches that
+    have an ``index`` pulse also get ``index_signals``, and axes to be ``squared`` get the output
+    ``square_output``.
     """
     given = content.get('signals')
     if given is None:

@@ -40,9 +40,9 @@ class Transform(Protocol):
     ) -> FloatArray:
         """Return the rates of the axes by path length where a path goes through poses, (n, m).
 
-        Rows of tool tip [m], tool axis, unit step of the tip, and turn of the tool axis [rad/m].
-        The rates are those of the first m axes, and NaN where the pose is singular or out of
-        reach.
+        The arguments are rows of tool tip [m], tool axis, unit step of the tip, and turn of the
+        tool axis [rad/m]. The rates are those of the first m axes, and NaN where the pose is
+        singular or out of reach.
         """
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
@@ -130,7 +130,7 @@ def positions_of_pose(
     """Return the axis positions of a tool pose, (n_axes,) [m, rad].
 
     NaN in ``tip``, or ``axis`` None, keep the current values; ``axis`` may have any length. The
-    solution nearest to ``stands`` is taken. Raises BlockError if the direction is out of travel,
+    solution nearest to ``stands`` is taken. Raises BlockError if the direction needs more travel,
     and ValueError if its length is zero or the tool cannot turn to it.
     """
     here, present = (found[0] for found in transform.forward(stands[None, :]))

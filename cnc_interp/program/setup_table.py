@@ -178,9 +178,9 @@ def touch_off_changes(
 ) -> list[SetupChange]:
     """Return the change of a work offset after which the coordinates here read given values.
 
-    ``values``: the new readings; ``reads``: the current readings in ``frame``, all in its order;
-    ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane, one coordinate may
-    change several zeros.
+    ``values``: the new readings; ``reads``: the current readings in ``frame``, all in the order of
+    its axes; ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane, one
+    coordinate may change several zeros.
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')

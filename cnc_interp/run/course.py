@@ -150,7 +150,7 @@ def feed_under(
 ) -> FloatArray:
     """Return the feed of each cell under factors on it, and on the speed of rapids [m/s].
 
-    The factors are numbers, or arrays with one for each cell; that of rapids is limited to 1 [-].
+    The factors are numbers, or arrays with one for each cell; on rapids they are at most 1 [-].
     """
     found = np.asarray(path.cell_feed * feed)
     rapids = np.isinf(path.cell_feed)

@@ -76,7 +76,7 @@ _COLUMNS = (
 
 
 def times_table(tools: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines with the times of each tool, and below it those of its operations.
+    """Return lines with the times of each tool, each followed by those of its operations.
 
     ``tools``: the JSON of the sections, as `estimate --json` and summary.json have it.
     """

@@ -130,7 +130,8 @@ class MachineReport:
 class LossRecovery:
     """Watches a machine after a restart of a node, and decides when to send the program again.
 
-    A machine with setpoints starts at once on cycle_start; the remainder is sent when it rests.
+    A machine with setpoints starts at once on cycle_start; the remainder of the program is sent
+    when the machine rests.
     """
 
     def __init__(self) -> None:

@@ -2,7 +2,7 @@
 
 A cut lasts from one rapid move to the next. Many spins are followed along its poses, and some of
 those that stay within travel and away from singular poses are planned. The spin changes on the
-rapid moves between cuts. ``best`` then bends the spin of a cut into a quartic.
+rapid moves between cuts. The choice ``best`` then replaces the constant spin by a quartic.
 """
 
 from __future__ import annotations

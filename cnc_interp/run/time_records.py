@@ -76,7 +76,7 @@ def cycle_times(path: Path) -> list[CycleTime]:
 
 
 def load_traces(path: Path, program: Path) -> list[Trace]:
-    """Read the runs of a program in a record; each time the lines begin again is another run.
+    """Read the runs of a program in a record; where the lines begin again, a new run begins.
 
     X_feed.csv beside X_blocks.csv contains the feeds.
     """

@@ -23,10 +23,10 @@ def pace_limits(
 
     A control changes the velocity at a vertex between two blocks by at most ``jump``, so the speed
     there is v = jump / (2 sin(turn / 2)). On the block between two vertices the speed rises and
-    falls again with the jerk J. With x the square root of the rise over J, a block of length L
-    takes 4 x: ``2 J x^3 + 4 v x = L``. The feed of a block is at most its mean speed L / (4 x),
-    and at most L over the time that the control needs for a block. Sharper turns are corners, for
-    which the planner itself slows down.
+    falls again with the jerk J. With x the square root of the rise in speed over J, a block of
+    length L takes the time 4 x: ``2 J x^3 + 4 v x = L``. The feed of a block is at most its mean
+    speed L / (4 x), and at most L over the time that the control needs for a block. Sharper turns
+    are corners, for which the planner itself slows down.
     """
     with np.errstate(divide='ignore'):
         v = np.minimum(pace.jump / (2.0 * np.sin(0.5 * turn)), feed)

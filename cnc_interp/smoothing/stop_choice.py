@@ -1,14 +1,14 @@
 """Corners at which a stop may be faster, and short runs of blocks that may be faster as lines.
 
 Rounding nearly always saves time. It may lose time where the axes move differently on the corner
-than on the lines beside it: near the pole, where the rounded orientation may lead the outer rotary
-axis half a turn round; beside a block on which the tip hardly moves while the tool turns; and
-where the path almost reverses. Beside a line of a micrometre a rounded corner is so small that
-passing it at low speed may take longer than resting. Other corners are always rounded.
+than on the lines beside it: near the pole, where the rounded orientation may turn the outer rotary
+axis by half a turn; beside a block on which the tip hardly moves while the tool turns; and where
+the path almost reverses. Beside a line of a micrometre a rounded corner is so small that passing
+it at low speed may take longer than resting. Other corners are always rounded.
 
-A curve needs room: a few spans, and a part of the lines beside it. On a run of a few tolerances
-the lines and their corners may be shorter and straighter. Near the pole a curve may use the whole
-orientation tolerance, and the outer rotary axis follows each of its waves.
+A curve needs room: a few spans, and a part of the lines beside it. On a run only a few tolerances
+long, the lines and their corners may be shorter and straighter. Near the pole a curve may use the
+whole orientation tolerance, and the outer rotary axis follows each of its waves.
 
 No simple measure of the path predicts how long the axes take there, and smoothing plans no motion.
 Therefore it proposes two sets of alternatives for the next blocks, and a stage that can plan them

@@ -65,7 +65,7 @@ class Upright:
     def counted(self, segments: PathSegments) -> PathSegments:
         """Return consecutive segments whose deviation is measured from the program.
 
-        A span of a curve may reach a little into the blocks beside those that it names.
+        A span of a curve may reach a little beyond the blocks that it names.
         """
         if not self._used or not len(segments):
             return segments

@@ -25,7 +25,7 @@ class Blocks(Table):
     [B2013, Eq. 4]. With ROTARY_LINEAR the tip moves straight while the rotary axes run linearly
     from ``rotary_from``. With AXES_LINEAR all machine axes run linearly. Consecutive spline rows,
     up to a linear row or an exact stop, are the control points of a pair of cubic B-splines
-    [B2013, section 4.1]; the first one is at the preceding pose.
+    [B2013, section 4.1]; the first control point is at the preceding pose.
     """
 
     #: Tool tip ``p_WT`` in W at the end of the block, or control point of a spline row [m].

@@ -1,7 +1,7 @@
 """Words that mirror and scale: G51, G51.1, G50, G50.1 of Fanuc; MIRROR and SCALE of Siemens.
 
-If one axis of their plane is mirrored, arcs and the side of G41 are reversed. Tool lengths and
-radii are not scaled.
+If one axis of the plane is mirrored, the sense of arcs and the side of G41 are reversed. Tool
+lengths and radii are not scaled.
 """
 
 import numpy as np

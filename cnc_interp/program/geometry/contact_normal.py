@@ -2,8 +2,8 @@
 
 Let the corner have radius r, its centre lie on a circle of radius R about the tool axis o, and n
 be the unit normal away from the part. Then tip = c + r (n - o) + R unit(n - (n . o) o). This is
-linear in r and R, so with differences of both it also converts the tip of one tool to that of
-another.
+linear in r and R, so the same formula with differences of both converts the tip of one tool to
+that of another.
 """
 
 from __future__ import annotations

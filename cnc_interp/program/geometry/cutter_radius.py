@@ -7,7 +7,7 @@ vertex; at an inner one the offsets are cut where they meet. Points in the plane
 The first line after G41 ends beside the start of the next element, or its own end (LinuxCNC).
 
 Where the contour meets itself, it closes a loop, and the tool must not cut into that loop.
-Elements that lead to the loop and away from it are leads, which may be cut.
+It may cut into the leads, the elements that lead to the loop and away from it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The words of CL data, with reasons for rejected ones; drilling cycles and frames.
 
 ``CYCLE/DRILL,FEDTO,d,MMPM,f,RAPTO,c,RTRCTO,r`` drills at the next GOTO points until ``CYCLE/OFF``.
-The first system of MSYS or CSYS is that of the workpiece; points of others are converted to it.
+The first system of MSYS or CSYS is that of the workpiece; points in others are converted to it.
 """
 
 import re

@@ -1,6 +1,6 @@
 """Statements of all dialects that change the order of lines, and subprograms.
 
-All structures are executed in the same way: a loop returns to its head, which decides.
+All structures are executed in the same way: a loop returns to its head, which may begin a round.
 """
 
 import re

@@ -1,10 +1,10 @@
 """Lines and corners whose rotary axes are coordinates of the path.
 
 A row whose rotary axes run linearly is a line in coordinates c: X Y Z of the axes (AXES_LINEAR) or
-of the tip (ROTARY_LINEAR), both rotary axes, and the extra axes. The length of such a line counts
-the rotary axes at flank height, ``|c|^2 = x^2 + y^2 + z^2 + (h a)^2 + (h b)^2 + w^2``. A corner
-between two such lines is the cubic B-spline of [B2013, section 2.2] in all coordinates at once.
-No tool axis must be converted to axis positions, so no point is singular, and every axis is C2.
+of the tip (ROTARY_LINEAR), both rotary axes, and the extra axes. In the length of such a line the
+rotary axes count at flank height, ``|c|^2 = x^2 + y^2 + z^2 + (h a)^2 + (h b)^2 + w^2``. A corner
+between two such lines is the cubic B-spline of [B2013, section 2.2] in all coordinates at once. No
+tool axis must be converted to axis positions, so no point is singular, and every axis is C2.
 
 Bound of the deviation. With unit vectors v and w from the corner along both lines, the curve is
 ``Q + a v + b w``. Here a falls from L2 to 0 and b rises from 0 to L2, because a cubic B-spline

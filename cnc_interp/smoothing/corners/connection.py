@@ -172,9 +172,9 @@ def matching_slopes(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the derivatives of f for which the tool axis continues along the top curve.
 
-    D = C_top(f(u)) - C_bottom(u) shall be rho o(u) in each order [B2013, B.3-B.5]. The highest
-    derivative of f acts along C_top' only. So it follows from the component e of C_top' at right
-    angles to o; rho follows from the component along o. No other f leaves a
+    D = C_top(f(u)) - C_bottom(u) must be rho o(u) in each order [B2013, B.3-B.5]. The highest
+    derivative of f acts along C_top' only. So this derivative follows from the component e of
+    C_top' at right angles to o; rho follows from the component along o. No other f leaves a
     smaller jump of the tool axis's derivatives.
     """
     b, c, o = bottom, top, turning

@@ -1,7 +1,7 @@
 """The 5-axis corner: two cubic B-splines within both tolerances [B2013, sections 2.2-2.3].
 
 Bottom polygon: P2 is the programmed corner, P1 and P3 are at the distance L1 from it, P0 and P4 at
-the distance L2 on the two lines. The largest deviation is that of the middle,
+the distance L2 on the two lines. The deviation is largest in the middle,
 |C(0.5) - P2| = |L1 (v + w)| / 4 (Eq. 3, A.3).
 
 Top polygon: P12 = P2 + h o. P10 and P14 lie on the programmed tool axis at the start and end of

@@ -1,8 +1,8 @@
 """One native 5-axis B-spline: from control points, in batches of any size, to smooth segments.
 
 Each span of the pair of cubic B-splines becomes exactly one SPLINE segment. The curve may meet a
-line, or its own next span at a repeated knot. There the jets of both sides are compared. If they
-differ, the span takes the derivatives of the other side by the general connection of
+line, or its own next span at a repeated knot. There the derivatives on both sides are compared. If
+they differ, the span takes the derivatives of the other side by the general connection of
 ``joining.py``. The span may use a share of the tolerances. If the deviation is too large, the span
 is halved, so that only its end changes. If the path turns too sharply, the tool rests. With
 ``--parametrization linear`` nothing is connected, as on a control with u_top = u_bottom.

@@ -78,7 +78,7 @@ class GuidingCurve:
 
 
 class GuidingPlanes:
-    """The guiding curves in parallel planes; they end with the offset surface."""
+    """The guiding curves in parallel planes, up to the border of the offset surface."""
 
     def __init__(
         self, surface: Surface, offset: float, plane_normal: FloatArray, extension: float

@@ -59,7 +59,7 @@ class ToolLimit:
 
     @staticmethod
     def of_settings(machine: Machine, settings: Settings) -> ToolLimit:
-        """Return the limit that the settings ask for; raises as ``wanted_tool``."""
+        """Return the limit that the settings request; raises the errors of ``wanted_tool``."""
         assert settings.tool_error is not None, 'there is a limit'
         name = settings.compensation
         model = compensated_model(name, machine) if name else None
@@ -222,7 +222,7 @@ class ToolRows:
         return rows
 
     def lower(self, stretch: Stretch) -> tuple[float, BoolArray]:
-        """Simulate a law; return its largest use of the limit, and the cells with a lower one."""
+        """Simulate a law; return its largest use of the limit, and cells with a lowered limit."""
         nodes, factors = stretch.nodes[:-1], self.rows
         v, a = stretch.v[nodes], stretch.a[nodes]
         terms = factors[:, 0] * a + factors[:, 1] * v * v + factors[:, 2] * v + factors[:, 3]

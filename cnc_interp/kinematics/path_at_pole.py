@@ -38,7 +38,7 @@ class Guides:
 @dataclass(frozen=True, kw_only=True)
 class PathAtPole(PathAhead):
     transform: FiveAxis  #: The machine's five-axis transformation.
-    #: (n, 2): Parameters between which it is at the pole; first > last if it is not.
+    #: (n, 2): Parameters between which a segment is at the pole; first > last if it is not.
     near: FloatArray
     sine: FloatArray  #: (n,): Sine of the angle between tool axis and pole at the start [-].
     rates: FloatArray

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SAME_POSE = 1e-9  #: A tool that differs from a pose by less is in that pose [m, -].
 SAME_TOOL = 1e-12  #: A curve whose tool vectors differ by less does not turn the tool [m].
-ROUNDING = 1e-14  #: Tool vectors that differ by less than this share of their size are equal [-].
+ROUNDING = 1e-14  #: Tool vectors are equal if they differ less than this share of coordinates [-].
 #: A kink becomes a stop if its jerk, in one period, exceeds this share of the limit [-].
 KINK_JERK = 0.02
 

@@ -18,8 +18,8 @@ AxisRates = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArra
 
 @dataclass(frozen=True)
 class MachineTraits:
-    #: Rates of the axes along a line, each over its jerk limit. They determine L2/L1 of corners
-    #: (``corner_curve.py``).
+    #: Rates of the axes along a line, each divided by its jerk limit. They determine L2/L1 of
+    #: corners (``corner_curve.py``).
     axis_rates: AxisRates | None = None
     #: Tool direction at which a rotary axis is undefined; a turning tool stops there. None if
     #: there is no such direction.

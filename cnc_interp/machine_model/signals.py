@@ -59,7 +59,7 @@ MOST_TOOL = 1e6  #: Largest number of a tool that a program may name.
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
 TURNING = 'spindle_turning'  #: Condition: the spindle turns, according to its encoder.
-#: Inputs of a handwheel: its counts, the way per count, and whether it moves an axis.
+#: Inputs of a handwheel: its counts, the travel per count, and whether it moves an axis.
 COUNTS, STEP, WHEEL = 'handwheel', 'handwheel_step', 'handwheel_'
 #: Numeric inputs, with their units.
 NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's', COUNTS: '', STEP: ''}
@@ -194,7 +194,7 @@ class Signals:
     steps: tuple[Step, ...] = ()
     words: Mapping[str, range] = field(default_factory=dict)  #: The steps of each word.
     after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
-    wired: int = 0  #: Number of outputs that drives receive; ``STATES`` come after them.
+    wired: int = 0  #: Number of outputs that drives receive; then come ``STATES``.
     #: Numbers of the outputs that each of ``STOPS`` switches off.
     off: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     #: Conditions that must hold while an output is on, by its number; k and -k as ``Step.wait``.

@@ -45,7 +45,7 @@ def load_nodes() -> ForkServerContext:
 
 
 def begin_child(name: str) -> None:
-    """Name a child of the fork server in ps; it obeys only SIGTERM, even an earlier one."""
+    """Name a child of the fork server in ps; the child obeys only SIGTERM, even an earlier one."""
     os.setsid()
     for number in set(STOPS) - {signal.SIGTERM}:
         signal.signal(number, signal.SIG_IGN)

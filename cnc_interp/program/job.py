@@ -42,7 +42,7 @@ class Tool:
     length: float = 0.0  #: Length along the tool that G43 uses [m].
     radius: float = 0.0  #: Radius of the cutter [m].
     remark: str = ''  #: Description, in one line.
-    #: Radius of its corner [m]: ``radius`` for a ball, 0 for a flat end.
+    #: Corner radius [m]: ``radius`` for a ball, 0 for a flat end.
     corner_radius: float | None = None
     #: Wear, which is added to length and radius [m].
     length_wear: float = 0.0

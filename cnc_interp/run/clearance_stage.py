@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cnc_interp.collision.path_clearance import Certificates, PathClearance
 
 REFUSE = 'refuse'
-TIP_MOVES = 1e-9  #: The tip rests in a cell in which it moves less [m].
+TIP_MOVES = 1e-9  #: If the tip moves less than this in a cell, it rests [m].
 PLACES = 20_000  #: Most places of the part whose excess is kept for the report.
 
 

@@ -96,7 +96,7 @@ def times_table(tools: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def operation_names(source: str) -> list[tuple[int, str]]:
-    """Return the lines of a program that are comments, with their texts; none for other files."""
+    """Return the comment lines of a program with their texts; none if it is another file."""
     try:
         lines = Path(source).read_text(encoding='utf-8', errors='replace').splitlines()
     except OSError:

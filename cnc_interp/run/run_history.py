@@ -45,7 +45,7 @@ class RunTimes:
 
 
 class RunHistory:
-    """The file of the rows; ``path``: its name, or '' for ``runs.csv`` of the user."""
+    """The CSV file of the runs; ``path``: its name, or '' for ``runs.csv`` of the user."""
 
     def __init__(self, path: str):
         self.file = Path(path) if path else state_folder() / 'runs.csv'

@@ -92,7 +92,7 @@ class MachineReport:
     path_position: float  #: Path length executed [m].
     stands: FloatArray  #: (n_axes,): Commanded axis positions [m, rad].
     time: float  #: Time of the report by the machine's clock [s].
-    message: str  #: The reason for its state, for people.
+    message: str  #: The reason for the machine's state, for people.
     must_home: tuple[str, ...] = ()  #: Axes that must be homed before a program may start.
     #: The axes were moved away from a hold by hand, and are not back on the path yet.
     away: bool = False

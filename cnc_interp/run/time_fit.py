@@ -51,7 +51,7 @@ PRIOR = 0.5  #: Prior standard deviation of a logarithm.
 HIDDEN = 0.8  #: A value counts as not shown above this share of that deviation.
 ROBUST = 0.3  #: Windows with larger residuals get less weight [s].
 CLUSTER = 10  #: Number of consecutive windows whose residuals may be correlated.
-SETTLED = 0.2  #: A feed belongs to a line after this time on it [s].
+SETTLED = 0.2  #: A feed is attributed to a line after this time on the line [s].
 HELD = 3  #: A velocity was held if this many feeds agree within 1 %.
 SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
 
@@ -65,7 +65,7 @@ class TimedProgram:
     functions: Functions
     settings: Settings
     override: float = 1.0
-    whole: bool = False  #: Whether a fit plans all of it, however long it is.
+    whole: bool = False  #: Whether a fit plans the whole program, of any length.
 
     @staticmethod
     def load(path: Path, machine: Machine, settings: Settings) -> TimedProgram:

@@ -23,7 +23,7 @@ from cnc_interp.smoothing.emission import Emission
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Choice, StopChoice
 
-LEFT_OVER = 0.05  #: A line shorter than this share of its block goes to the corners [-].
+LEFT_OVER = 0.05  #: A line shorter than this share of its block is given to the corners [-].
 #: The same with the paper's corners, which are enlarged by rounding errors only [-].
 ROUNDING = 1e-9
 

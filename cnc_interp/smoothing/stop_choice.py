@@ -39,7 +39,7 @@ BEFORE, AFTER = 3, 6  #: Most lines of an alternative before and after its corne
 FAST = 2.0 / MM
 SHARP = 160.0 * DEG  #: A corner is tried where the path turns more than this [rad].
 MICRO = 3.0 * UM  #: A corner is tried beside a line shorter than this [m].
-#: Most blocks of a run that is tried, and the length below which it always is [tolerances].
+#: Most blocks of a run that is tried; length below which a run is always tried [tolerances].
 MOST_BLOCKS, TINY = 8, 15.0
 
 

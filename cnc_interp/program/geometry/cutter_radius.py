@@ -23,7 +23,7 @@ import numpy as np
 from cnc_interp.core import MM, FloatArray, ProgramError
 from cnc_interp.program.geometry import target_row as col
 
-SMOOTH = 1e-6  #: Two elements meet without a corner if their directions differ by less [rad].
+SMOOTH = 1e-6  #: Elements whose directions differ by less meet without a corner [rad].
 #: Shorter elements are left out [m]. Rounding of intersections [m].
 SHORTEST, ROUNDING = 1e-9, 1e-9
 #: Number of elements within which the cutter is checked for touching the contour again.

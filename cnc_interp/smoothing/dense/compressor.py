@@ -303,7 +303,7 @@ class Made(NamedTuple):
     """A row that replaces a vertex; values that it lacks are those of the vertex."""
 
     vertex: int  #: Its vertex of the skeleton.
-    pose: FloatArray | None  #: (6,): Where it ends, if not at the vertex.
+    pose: FloatArray | None  #: (6,): Pose at its end, if not the vertex.
     #: (2,): Tolerances that are left, and those used by a line [m].
     tolerance: FloatArray
     used: FloatArray

@@ -3,7 +3,7 @@
 The program moves one axis after the other. Moves back and forth at several speeds show friction,
 backlash and lags. Then the axis moves in one direction while its feed alternates faster and faster
 (a chirp), which shows the loops and the flexible mode, because the axis never sticks. Jerk-limited
-reversals come last. The planner keeps limits and travel, as for any other program.
+reversals come last. The planner keeps the program within limits and travel, as any other program.
 
 The loops have the transfer function (f s + kv) / (tau s^2 + (1 + tau B) s + kv). Positions
 determine only the three ratios of its coefficients, so viscous friction B is taken from the

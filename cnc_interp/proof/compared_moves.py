@@ -370,7 +370,7 @@ class RowsByPlace(RowsByLine):
         return super().take(move)
 
     def rows_of(self, move: ReadMove) -> int:
-        """Return the row after the rows of a motion, whose last row is the first at its end."""
+        """Return the row after those of a motion; they end with the first row at its end point."""
         before = self.before
         if before is None:
             return 1

@@ -20,7 +20,7 @@ class OwnErrors:
     machine: Machine
 
     def nominal(self, commanded: FloatArray) -> FloatArray:
-        """Return the axes (n, n_axes) that lead an ideal machine to the tips of this one."""
+        """Return axis positions (n, n_axes) at which an ideal machine has the tips of this one."""
         errors, found = self.machine.errors, np.array(commanded)
         if errors is None:
             return found
@@ -80,7 +80,7 @@ def error_frame(nodes: FloatArray, errors: FloatArray, at: FloatArray) -> FloatA
 
 
 def in_nominal_axes(plan: PlanFiles, machine: Machine) -> PlanFiles:
-    """Return a plan with the axes at which an ideal machine has the tips of this one."""
+    """Return a plan with the positions at which an ideal machine has the tips of this one."""
     if machine.errors is None:
         return plan
     own, path = OwnErrors(machine), plan.path

@@ -1,4 +1,4 @@
-"""Choose positions of a rail or a positioner for a program that never moves them.
+"""Choose positions of a rail or a positioner for a program that never moves it.
 
 These joints rest while the tool cuts. If the arm cannot follow a cut from their current position,
 they move during the rapid moves before it. Among the positions from which most spins of the tool

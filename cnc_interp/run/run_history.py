@@ -1,4 +1,4 @@
-"""The runs of a machine, one row each in a CSV file, from which a shop computes its OEE."""
+"""The runs of a machine in a CSV file, one per row, from which a shop computes its OEE."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sending side of a run: its phases, its end, and the report of the machine that it needs."""
+"""The sending side of a run: its phases, its end, and the machine reports that it needs."""
 
 import math
 from dataclasses import dataclass

@@ -56,7 +56,7 @@ class Upright:
         return self._moved_to_pole(blocks, near, np.where(near, away, 0.0))
 
     def finish(self) -> Blocks | None:
-        """Return the row that still waits; the program ends there, and its tool axis stays."""
+        """Return the row that still waits; the program ends with it, and its tool axis stays."""
         waiting, self._waiting = self._waiting, None
         if waiting is None:
             return None

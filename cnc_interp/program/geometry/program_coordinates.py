@@ -1,4 +1,4 @@
-"""Program coordinates: the one system in which places are shown to people.
+"""Program coordinates: the only system in which positions are shown to people.
 
 They are the values of X Y Z A C with which the next line (or the executed line) would move the
 axes to their current positions, with all offsets in effect at that line:

@@ -57,8 +57,8 @@ class ContactError(StreamError):
         super().__init__(text)
 
 
-#: Functions that find the first contact on straight moves between axis positions, (K, n) [m, rad],
-#: and that describe it with the distance that remains where the axes rest, (n,).
+#: Function that finds the first contact on straight moves between axis positions, (K, n) [m, rad].
+#: It returns a function that describes the contact and its distance for axes at rest at (n,).
 Foresight = Callable[[FloatArray], Callable[[FloatArray], ContactError] | None]
 
 

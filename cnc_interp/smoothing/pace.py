@@ -9,8 +9,8 @@ from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.program.blocks import WITHIN_MOTION, Blocks
 from cnc_interp.settings.options import Settings
 
-#: A turn counts as the mean over this length before and after the middle of a block [m], and
-#: over this many blocks on each side at most.
+#: A turn is averaged over this length before and after the middle of a block [m], and over at most
+#: this number of blocks on each side.
 REACH, NEAR = 1e-3, 8
 HELD = NEAR + 1  #: Rows that wait for later rows, unless the tool rests between.
 KEPT = HELD + NEAR + 2  #: Rows that a pacer keeps: these, and those before them.

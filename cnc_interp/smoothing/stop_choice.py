@@ -10,11 +10,12 @@ A curve needs room: a few spans, and a part of the lines beside it. On a run onl
 long, the lines and their corners may be shorter and straighter. Near the pole a curve may use the
 whole orientation tolerance, and the outer rotary axis follows each of its waves.
 
-No simple measure of the path predicts how long the axes take there, and smoothing plans no motion.
-Therefore it proposes two sets of alternatives for the next blocks, and a stage that can plan them
-chooses (``Choice``). At a corner the alternatives are with and without a stop there; the corners
-after it, which may need a stop too, are rounded or all are stops. A run is a curve, or lines
-with rounded corners; if one of these corners is doubtful, also lines with a stop at every corner.
+No simple measure of the path predicts how long the axes take in these cases, and smoothing plans
+no motion. Therefore it proposes two sets of alternatives for the next blocks, and a stage that can
+plan them chooses (``Choice``). At a corner the alternatives are with and without a stop there; the
+corners after it, which may need a stop too, are rounded or all are stops. A run is a curve, or
+lines with rounded corners; if one of these corners is doubtful, also lines with a stop at every
+corner.
 
 An alternative begins and ends at rest: at the last stop, or three lines before the corner, and at
 the next stop, or six lines after it. Its lines, and the choice, do not depend on how the blocks

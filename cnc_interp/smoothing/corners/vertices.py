@@ -18,7 +18,7 @@ from cnc_interp.smoothing.orientation import rotations_between, shares_at_corner
 STRAIGHT = 1e-9
 #: Above this rotation per travel of the tip, the tip counts as resting, and the tool stops at both
 #: ends of the block [rad/m]. Rotary axes at 20 rev/min move such a tip at 0.1 mm/s. A rounded
-#: corner would be smaller than its way, and no feed solver converges on the derivatives of the
+#: corner would be smaller than this travel, and no feed solver converges on the derivatives of the
 #: corner by path length.
 SWIVEL = 20.0 / MM
 PASS, ROUND, STOP = 0, 1, 2  #: Kinds of vertices: the path passes, is rounded, or the tool rests.

@@ -11,7 +11,7 @@ any amount of time. The last line prints the counts. The exit code is 0 only if
 
 - every plan is proven, and no limit is exceeded by more than rounding;
 - tips and tool axes equal those of the proof's chain (and of pinocchio, if installed);
-- no chosen spin is slower than the best constant spin, and in the median the choice saves 2 %;
+- no chosen spin is slower than the best constant one, and on average it saves 2 % of their median;
 - enough lines are passed without a stop.
 """
 
@@ -51,7 +51,7 @@ USE = 1.0  #: Largest use of a limit.
 COUNT = 120  #: Points of a path.
 #: Least share of lines passed at 45 and 10 deg, and how far the joints may jump there [rad, 1/m].
 LINES, JUMP = (0.98, 0.85), 1e-6
-SAVES, SLOWER = 0.02, 1e-4  #: Of the time of constant spins: in the median, and of the best one.
+SAVES, SLOWER = 0.02, 1e-4  #: Of the time of constant spins: of the median, and of the best one.
 
 
 def unit(rows: FloatArray) -> FloatArray:
@@ -278,7 +278,7 @@ def main() -> int:
     parser.add_argument('--quick', action='store_true', help='a seeded share')
     parser.add_argument('--seed', type=int, default=1)
     options = parser.parse_args()
-    count, each, compared, lines = (2, 3, 1, 10) if options.quick else (10, 40, 8, 50)
+    count, each, compared, lines = (2, 3, 3, 25) if options.quick else (10, 40, 8, 50)
     plans = proven = refused = setpoints = slower = 0
     use, gaps, seconds, random = 0.0, np.zeros(2), 0.0, np.random.default_rng(options.seed)
     saved, through = list[float](), {45.0: np.zeros(3), 10.0: np.zeros(3)}
@@ -321,18 +321,17 @@ def main() -> int:
     shares = [found[0] / found[:2].sum() for found in through.values()]
     jump = max(found[2] for found in through.values())
     pin = 'not installed' if find_spec('pinocchio') is None else f'{gaps[1]:.1e}'
-    median = float(np.median(saved))
+    mean, median = float(np.mean(saved)), float(np.median(saved))
     print(f'{1e3 * seconds / max(plans * COUNT, 1):.2f} ms of a processor a block, spin included')
     print(
         f'plans {plans}, proven {proven}, refused {refused}, setpoints {setpoints}, largest use '
         f'{use:.2%}, own chain {gaps[0]:.1e}, pinocchio {pin}; spins slower than a constant '
-        f'{slower} of {len(saved)}, {median:.1%} faster than their median; lines passed '
-        f'{shares[0]:.1%} at 45 deg and {shares[1]:.1%} at 10 deg, largest jump {jump:.0e}'
+        f'{slower} of {len(saved)}, {mean:.1%} faster than their median on average and '
+        f'{median:.1%} in the median path; lines passed {shares[0]:.1%} at 45 deg and '
+        f'{shares[1]:.1%} at 10 deg, largest jump {jump:.0e}'
     )
     sound = proven == plans and use <= USE and gaps.max() < SAME and not slower and jump < JUMP
-    return (
-        0 if sound and median >= SAVES and shares[0] >= LINES[0] and shares[1] >= LINES[1] else 1
-    )
+    return 0 if sound and mean >= SAVES and shares[0] >= LINES[0] and shares[1] >= LINES[1] else 1
 
 
 if __name__ == '__main__':

@@ -317,9 +317,7 @@ def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[s
         missing = set(range(len(sent))) - {f.number for f in functions}
         if wrong or (missing and not run.cut):
             number = wrong[0] if wrong else min(missing)
-            faults.append(
-                f'function {number} of the blocks is missing or different in the {topic}'
-            )
+            faults.append(f'the {topic} lack function {number} of the blocks, or change it')
     words = machine.signals.words
     if FOLLOWS in words:
         first = words[FOLLOWS].start

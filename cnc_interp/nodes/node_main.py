@@ -137,7 +137,7 @@ def end_goal(handle: Any, result: Any, succeeded: bool, cancelled: bool = True) 
 
 
 def answer_flush(node: Any, _request: Any, response: Any) -> Any:
-    """Publish the collected messages of the node, which the end of a recording requests."""
+    """At the end of a recording, publish the messages that the node has collected."""
     if hasattr(node, 'publish_rest'):
         node.publish_rest()
     response.success = True

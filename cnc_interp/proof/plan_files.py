@@ -335,7 +335,7 @@ def _nonsense(blocks: Columns) -> str:
         'a program stop needs an exact stop': (blocks['program_stop'] != 0)
         & ~np.asarray(blocks['exact_stop'], dtype=np.bool_),
         'interpolation must be 0, 1 or 2': ~np.isin(blocks['interpolation'], (0, 1, 2)),
-        'linear rotary axes need positions at both ends': (blocks['interpolation'] != 0)
+        'interpolation > 0 needs rotary and rotary_from': (blocks['interpolation'] != 0)
         & ~np.isfinite(np.hstack([blocks['rotary'], blocks['rotary_from']])).all(axis=1),
     }
     for text, where in faults.items():

@@ -88,7 +88,8 @@ def _check_interpolation(name: str, message: G1Block) -> None:
         text = 'send 0 for splines and for the first block, otherwise 0, 1 or 2'
         raise StreamError(f'{name}: interpolation {message.interpolation} is not possible: {text}')
     if not np.isfinite([*message.rotary, *message.rotary_from]).all():
-        raise StreamError(f'{name}: linear rotary axes need positions at both ends; send numbers')
+        text = 'linear motion of rotary axes needs their positions at both ends'
+        raise StreamError(f'{name}: {text}; send numbers')
 
 
 def _check_extra(name: str, values: array[float], count: int, spare: int) -> None:

@@ -382,7 +382,7 @@ class HeidenhainReader(ProgramReader):
             if self.heading is None or abs(end - start) < 1e-9:
                 raise self.fault('CT needs a preceding line or arc about CC', 'CT')
             side = ((end - start) * self.heading.conjugate()).imag
-            self.demand(abs(side) >= 1e-9, 'the end lies on the line before; write L', 'CT')
+            self.demand(abs(side) >= 1e-9, 'the end lies on the tangent; write L', 'CT')
             ccw = side > 0.0
             centre = start + abs(end - start) ** 2 / (2.0 * side) * 1j * self.heading
         arm = end - centre

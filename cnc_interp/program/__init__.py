@@ -1,4 +1,4 @@
-"""Read part programs in the usual dialects of G-code, and as CL data, into blocks."""
+"""Read part programs (usual dialects of G-code, CL data) and convert them to blocks."""
 
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.job import JobSetup, Tool

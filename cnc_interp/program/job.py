@@ -19,7 +19,7 @@ WORK_OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59
 #: Further work offsets: G54.1 P1 to P300 of Fanuc, which Haas writes as G154 P1.
 ALL_OFFSETS = (*WORK_OFFSETS, *(f'G54.1 P{number}' for number in range(1, 301)))
 REFERENCE_POINTS = ('G28', 'G30')
-#: Key of the rotation of a work offset about Z, beside its axes [rad].
+#: Key of the rotation about Z among the values of a work offset [rad].
 ROTATION = 'R'
 Position = Mapping[str, float]
 
@@ -44,7 +44,7 @@ class Tool:
     remark: str = ''  #: Description, in one line.
     #: Corner radius [m]: ``radius`` for a ball, 0 for a flat end.
     corner_radius: float | None = None
-    #: Wear, which is added to length and radius [m].
+    #: Wear that is added to length and radius [m].
     length_wear: float = 0.0
     radius_wear: float = 0.0
     pocket: int = 0  #: Its pocket in the tool changer; 0 if none.
@@ -83,7 +83,7 @@ class Tool:
 class SetupChange:
     field: str  #: Name of the field of ``JobSetup``.
     value: Any  #: Its new value, or that of one entry; None removes the entry.
-    #: The entry that changes, if the field is a mapping.
+    #: Key of the changed entry, if the field is a mapping.
     key: str | int | None = None
 
     @property

@@ -39,7 +39,7 @@ class Notices:
 
 #: Number of different refusals, and of rejected lines, after which reading ends.
 MOST, MOST_LINES = 20, 1000
-#: Number of lines named per refusal; number of refusals above which their words form a table.
+#: Number of lines named per refusal; number of refusals above which a table lists their words.
 NAMED, NAMED_ALONE = 5, 3
 #: The code or the letters with which a word begins.
 _HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
@@ -62,7 +62,7 @@ class Refusals:
         return self._count > 0
 
     def add(self, problem: ProgramError, ends: bool = False) -> None:
-        """Store a refusal unless an earlier one may be its cause; too many end the reading."""
+        """Store a refusal unless an earlier one may be its cause; raise if there are too many."""
         on = problem.depends_on
         key = problem.source, problem.message, problem.word
         place, state = on is DependsOn.PLACE, on in (DependsOn.STATE, DependsOn.LEFT_OVER)
@@ -89,7 +89,7 @@ class Refusals:
         return f'{counts.total()} refused lines: {words}'
 
     def error(self, ended: bool = False) -> ProgramError:
-        """Return the error with all refusals; ``ended``: the reading ended too early."""
+        """Return an error with all refusals; ``ended``: whether reading stopped early."""
         first = [problem for problem, *_ in self._alike.values()]
         if sum(map(len, self._alike.values())) == 1 and not ended:
             return first[0]

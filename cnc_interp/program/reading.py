@@ -1,4 +1,4 @@
-"""From part programs or MDI lines to blocks: detects the dialect, and makes its reader."""
+"""Convert part programs or MDI lines to blocks: detect the dialect, and create its reader."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -92,7 +92,7 @@ class ProgramStream:
                 self._source.close()
 
     def read_live(self) -> None:
-        """Read for a machine: blocks end at each probe until ``go_on``; tools must be known."""
+        """Read for a live run: it pauses at each probe until ``go_on``; tools must be known."""
         if isinstance(self._reader, ProgramReader):
             self._reader.at.is_live = True
 
@@ -130,7 +130,7 @@ class ProgramStream:
 
     @property
     def functions(self) -> Functions:
-        """Return the functions of the program for a run from its start; complete at its end."""
+        """Return the functions for a run from the start line; complete after the last block."""
         functions = Functions.of_rows(self._reader.targets.functions)
         row = self.start.row
         if row is None or not self.start.line:

@@ -1,4 +1,4 @@
-"""The setup of the machine in its file, with a log, and changes requested by operators."""
+"""The setup file of the machine with its log, and changes requested by operators."""
 
 import fcntl
 import os
@@ -30,7 +30,7 @@ _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 
 class SetupTable:
-    """Offsets and tools of the machine; a change is written to the log, the file, then here.
+    """Offsets and tools of the machine; each change is written to the log, then to the file.
 
     While it is open, no other table can use the same file, which need not exist yet. Without a
     file, changes are lost with this object.
@@ -56,7 +56,7 @@ class SetupTable:
             self.setup = JobSetup.load(file)
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:
-        """Make all changes, or raise InterpError; return a description, or ''."""
+        """Make all changes, or raise InterpError; return a description, '' if nothing changed."""
         after = self.setup
         for change in changes:
             after = after.changed(change)
@@ -98,7 +98,7 @@ class SetupTable:
 def values_by_axis(
     letters: Sequence[str], values: Sequence[float], axes: Sequence[str]
 ) -> dict[str, float]:
-    """Return the value of each axis named [m, rad]; InterpError if one is not possible."""
+    """Return offsets by axis letter [m, rad]; raise InterpError if one is not possible."""
     if len(letters) != len(values) or len(set(letters)) != len(letters):
         raise InterpError('name each axis once, with one value for each')
     for letter, value in zip(letters, values, strict=True):
@@ -176,7 +176,7 @@ def touch_off_changes(
     frame: ProgramCoordinates,
     zero: Position,
 ) -> list[SetupChange]:
-    """Return the change of a work offset after which the coordinates here read given values.
+    """Return the change of a work offset after which the coordinates here read ``values``.
 
     ``values``: the new readings; ``reads``: the current readings in ``frame``, all in the order of
     its axes; ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane, one

@@ -18,7 +18,7 @@ _IGNORED = frozenset('XYABCUVWIJQ')
 
 
 def tools_of_text(text: str, unit: float) -> dict[int, Tool]:
-    """Read a tool.tbl or a CSV file, by its first line.
+    """Read a tool.tbl or a CSV file; the first line shows which one it is.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def _csv_rows(lines: list[str]) -> Iterator[tuple[int, dict[str, str]]]:
 
 
 def tbl_text(tools: Mapping[int, Tool], unit: float) -> str:
-    """Return a tool.tbl. The file has one length and one diameter, with the wear in both."""
+    """Return a tool.tbl with one length and one diameter per tool, which include the wear."""
     lines = [
         f'T{number} P{tool.pocket or number} Z{tool.worn.length / unit:+.6f} '
         f'D{2.0 * tool.worn.radius / unit:+.6f} ;{tool.remark}\n'

@@ -42,7 +42,7 @@ class WrittenMove:
     rapid: bool
     exact_stop: bool
     program_stop: int = GO_ON  #: GO_ON, STOP or OPTIONAL_STOP.
-    #: (2,): Positions of the rotary axes [rad]; None without words for them.
+    #: (2,): Positions of the rotary axes [rad]; None if they are not written.
     rotary: FloatArray | None = None
     duration: float = nan  #: [s], if it is used instead of the feedrate.
     on_great_circle: bool = False  #: Whether the tool axis turns on the great circle.

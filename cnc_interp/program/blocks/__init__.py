@@ -1,4 +1,4 @@
-"""From rows of targets to blocks, with the functions of the program and their modal states."""
+"""Convert rows of targets to blocks, with the functions and modal states of the program."""
 
 from cnc_interp.program.blocks.block_table import (
     AXES_LINEAR,

@@ -1,4 +1,4 @@
-"""The modal state with which each block was programmed, as the machine executes it later."""
+"""The modal state of each block, recorded so that it is known when the machine executes it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cnc_interp.core import MINUTE, FloatArray
 from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 
 NONE = -1.0  #: Value for a missing motion code, feed or state.
-#: Largest number of states, and of changes of state, motion code and feed, that are kept.
+#: Largest numbers of recorded states, and of recorded changes of state, motion code and feed.
 MOST_STATES, MOST_CHANGES = 10_000, 1_000_000
 
 
@@ -47,7 +47,7 @@ class ModesOfBlocks:
         self._last = np.full(3, nan)
 
     def number(self, key: Hashable, state: Callable[[], ActiveModes]) -> float:
-        """Return the number of the state with this key; ``state`` creates it if it is new."""
+        """Return the number of the modal state with a key; call ``state`` to create a new one."""
         found = self._numbers.get(key)
         if found is None:
             if len(self._states) >= MOST_STATES:
@@ -70,7 +70,7 @@ class ModesOfBlocks:
         self._changes.frombytes(np.ascontiguousarray(states[rows]).tobytes())
 
     def change_before(self, block: int) -> int:
-        """Return the number of the last change at or before a block; -1 if there is none."""
+        """Return the index of the last change at or before a block; -1 if there is none."""
         return bisect_right(self._blocks, block) - 1
 
     def after(self, change: int) -> ActiveModes | None:

@@ -11,19 +11,19 @@ from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.tables import Table, column
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
-#: Values of ``Blocks.corner``: rounding and stopping are both tried; rounding, or stopping, is
-#: known to be faster; or the block is a piece of a longer smooth motion, such as an arc.
+#: Values of ``Blocks.corner``, in order: try rounding and stopping; rounding is faster; stopping
+#: is faster; the block is a piece of a longer smooth motion, such as an arc.
 OPEN_CORNER, ROUND_CORNER, STOP_CORNER, WITHIN_MOTION = 0, 1, 2, 3
-#: Values of ``Blocks.interpolation``: what runs linearly in a block.
+#: Values of ``Blocks.interpolation``: which coordinates are interpolated linearly in a block.
 POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
 
 
 class Blocks(Table):
     """The blocks of a part program in order; row 0 is the start pose.
 
-    On a linear row of kind POSES the tip moves straight while the tool axis follows a great circle
-    [B2013, Eq. 4]. With ROTARY_LINEAR the tip moves straight while the rotary axes run linearly
-    from ``rotary_from``. With AXES_LINEAR all machine axes run linearly. Consecutive spline rows,
+    On a linear row with POSES, the tip moves straight while the tool axis follows a great circle
+    [B2013, Eq. 4]. With ROTARY_LINEAR, the tip moves straight while the rotary axes move linearly
+    from ``rotary_from``. With AXES_LINEAR, all machine axes move linearly. Successive spline rows,
     up to a linear row or an exact stop, are the control points of a pair of cubic B-splines
     [B2013, section 4.1]; the first control point is at the preceding pose.
     """
@@ -32,24 +32,24 @@ class Blocks(Table):
     tip: FloatArray = column(3)
     #: Unit tool axis ``o_W`` in W at the end of the block, from tip to spindle [-].
     axis: FloatArray = column(3)
-    #: Rotary positions at the end of the block [rad], NaN if the program does not name them.
+    #: Rotary positions at the end of the block [rad], NaN if the program does not give them.
     rotary: FloatArray = column(2)
     #: Tip speed in the workpiece [m/s]; infinite for rapids; NaN if ``duration`` is given.
     feedrate: FloatArray = column()
     duration: FloatArray = column()  #: Programmed duration (inverse-time feed, G93) [s], else NaN.
     rapid: BoolArray = column()  #: Whether the block is a rapid (G0).
-    #: Whether the tool rests at the end of the block (G61, M0, program end).
+    #: Whether the tool stops at the end of the block (G61, M0, program end).
     exact_stop: BoolArray = column()
-    #: Largest deviation of the tool tip, and of the point at flank height [m].
+    #: Allowed deviation of the tool tip, and of the point at flank height [m].
     contour_tolerance: FloatArray = column()
     orientation_tolerance: FloatArray = column()
     line_number: IntArray = column()  #: Line of the program text, counted from 1.
-    #: Control points of the second curve on spline rows [m], else NaN.
+    #: Control points of the top curve on spline rows [m]; NaN on linear rows.
     top: FloatArray = column(3, default=nan)
     #: On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knot vector [-]; 0
     #: in the first row, in the last two rows and for a repeated knot. NaN on linear rows.
     knot_interval: FloatArray = column(default=nan)
-    #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits at its exact stop; otherwise GO_ON.
+    #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits at the end of the block; else GO_ON.
     program_stop: IntArray = column(default=GO_ON)
     #: Positions of the k extra axes (U V W) at the end of the block [m]; they move linearly with
     #: the tip. If poses give the spin of an arm, the last column is the spin times flank height.
@@ -57,8 +57,8 @@ class Blocks(Table):
     interpolation: IntArray = column(default=POSES)  #: POSES, ROTARY_LINEAR or AXES_LINEAR.
     #: Rotary positions at the start of rows whose rotary axes run linearly [rad], else NaN.
     rotary_from: FloatArray = column(2, default=nan)
-    #: ROUND_CORNER or STOP_CORNER if the faster one is known for a corner at the end of the block
-    #: without an exact stop. WITHIN_MOTION if the motion continues smoothly. Otherwise
+    #: ROUND_CORNER or STOP_CORNER if it is known which one is faster at the end of a block without
+    #: exact stop. WITHIN_MOTION if the motion continues smoothly. Otherwise
     #: OPEN_CORNER.
     corner: IntArray = column(default=OPEN_CORNER)
 
@@ -66,7 +66,7 @@ class Blocks(Table):
     def of_poses(
         tip: FloatArray, axis: FloatArray, feedrate: float, tolerance: float = 0.02 * MM
     ) -> Blocks:
-        """Return linear blocks through tips and tool axes in W, (N, 3), the start pose first."""
+        """Return linear blocks through tips and tool axes in W, (N, 3); row 0 is the start pose."""
         n = len(tip)
         length = np.linalg.norm(axis, axis=-1)
         if not (np.isfinite(tip).all() and (np.abs(length - 1.0) < 1e-6).all()):
@@ -96,7 +96,7 @@ class Blocks(Table):
 
 
 class BlockSpool:
-    """A program of any length in a temporary file without a name, sliced like ``Blocks``."""
+    """A program of any length, stored in an unnamed temporary file and sliced like ``Blocks``."""
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile()  # noqa: SIM115 (closed by close)

@@ -37,12 +37,12 @@ def acting(
 
 
 class Functions(Table):
-    #: Row of the block at whose start it acts; the number of rows means the end of the program.
+    #: Row of the block at whose start a function acts; the number of rows means the program end.
     block: IntArray = column()
     line_number: IntArray = column()  #: Line of the program text.
     step: IntArray = column()  #: Number in ``Signals.steps`` of the machine.
     value: FloatArray = column()  #: Value to which the output is set.
-    #: Whether it acts before a program stop (M0, M1) at the same block, and not after it.
+    #: Whether a function acts before, not after, a program stop (M0, M1) at the same block.
     before_stop: BoolArray = column(default=False)
 
     @staticmethod
@@ -52,7 +52,7 @@ class Functions(Table):
         return Functions(*(c.astype(kind) for c, kind in zip(columns, kinds, strict=True)))
 
     def until(self, block: int) -> int:
-        """Return the number of functions that act up to the start of a block."""
+        """Return the number of functions that act at or before the start of a block."""
         return int(np.searchsorted(self.block, block, side='right'))
 
     def counts(self, signals: Signals) -> dict[str, int]:
@@ -64,7 +64,7 @@ class Functions(Table):
         return np.unique(self.block[waiting[self.step]]) if len(self) else self.block
 
     def standstill(self, signals: Signals, times: Standstill) -> FloatArray:
-        """Return how long the motion rests for each function, (n,) [s]."""
+        """Return how long the motion must stand still for each function, (n,) [s]."""
         first = {words.start: word for word, words in signals.words.items()}
         rests, wanted, turning, follows = np.zeros(len(self)), 0.0, 0.0, 0
         for k, (step, value) in enumerate(zip(self.step.tolist(), self.value, strict=True)):
@@ -86,13 +86,13 @@ class Functions(Table):
         return rests
 
     def speeds(self, signals: Signals) -> FloatArray:
-        """Return the programmed spindle speeds, (k,) [rev/min]."""
+        """Return the distinct spindle speeds in the program, (k,) [rev/min]."""
         word = signals.words.get('S')
         found: FloatArray = np.unique(self.value[self.step == word.start] if word else [])
         return found
 
     def from_row(self, row: int, signals: Signals) -> Functions:
-        """Return the functions of a run from a row on; earlier ones in effect there act first."""
+        """Return the functions for a start at a row: those in effect, then the later ones."""
         after = self.until(row)
         starts = {words.start for words in signals.words.values()}
         threads = [k for word in (FOLLOWS, FREE) for k in signals.words.get(word, ())]

@@ -1,4 +1,4 @@
-"""Motions between rows of targets: the coordinates that run linearly, and poses in between."""
+"""Motions between target rows: which coordinates move linearly, and the poses on each motion."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from cnc_interp.program.geometry.subdivide import Poses, angle_between, great_ci
 from cnc_interp.settings.options import Settings
 
 SAME = 1e-12  # [m], [-], [rad]
-#: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
+#: Share of the tolerances for the deviation of chords and great circles from the motion [-].
 CHORD_SHARE = 0.1
-#: Distance from the pole, in orientation tolerances, within which a path could pass it on the
-#: other side.
+#: Nearer to the pole than this many orientation tolerances, a smooth path could pass it on
+#: the other side.
 POLE_TOLERANCES = 4.0
-#: Without tool-tip programming, lines in axes become curves of poses after this many consecutive
-#: short blocks, in which the tip moves more than this share of the turn at flank height [-].
+#: Without tool-tip programming, lines in axes become curves of poses after FEWEST_DENSE short
+#: blocks in a row, if the tip moves more than SLOW_TIP times the turn at flank height [-].
 FEWEST_DENSE, SLOW_TIP = 32, 0.05
 BESIDE_ARC = 8  #: A short line has the tolerance of an arc at most this many motions away.
 
@@ -31,11 +31,11 @@ FARTHEST = 1000  #: Largest number of motions joined with a later one near the p
 
 
 class Preceding(NamedTuple):
-    """Relevant properties of the motions before the first one."""
+    """Properties of earlier motions that affect the interpolation of the next ones."""
 
-    dense: int = 0  #: Number of dense motions at their end, as far as relevant.
-    led: bool = False  #: Whether rotary words determine the rotary axes in the last one.
-    since_arc: int = BESIDE_ARC  #: Number of motions since an arc, as far as relevant.
+    dense: int = 0  #: Number of dense motions at the end, at most FEWEST_DENSE.
+    led: bool = False  #: Whether the last motion is ROTARY_LINEAR.
+    since_arc: int = BESIDE_ARC  #: Number of motions since an arc, at most BESIDE_ARC.
 
 
 NOTHING_BEFORE = Preceding()
@@ -44,10 +44,10 @@ NOTHING_BEFORE = Preceding()
 class Moves:
     """Motions between consecutive targets, which can be evaluated at any parameter.
 
-    ``interpolation`` (n,): as in ``Blocks``; for the ``undecided`` last motions it depends on the
-    next ones; ``beside`` (n,): whether extra axes move and rotary axes do not; ``rests`` (n,):
-    whether words turn the rotary axes about a resting tip; ``beside_arcs`` (n,): whether a motion
-    is an arc, or a short line beside one.
+    ``interpolation`` (n,): as in ``Blocks``; in the last ``undecided`` motions it depends on later
+    motions. ``beside`` (n,): whether extra axes move and rotary axes do not. ``rests`` (n,):
+    whether the rotary axes turn while the tip stands still. ``beside_arcs`` (n,): whether a motion
+    is an arc, or a short line near one.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Moves:
 
     @property
     def preceding(self) -> Preceding:
-        """Return the properties of these motions that are relevant for later ones."""
+        """Return the properties of these motions that affect later ones."""
         return Preceding(self.dense, self.led, self.since_arc)
 
     def __getitem__(self, part: slice) -> Moves:
@@ -106,7 +106,7 @@ class Moves:
         return some
 
     def _interpolation(self, settings: Settings) -> IntArray:
-        """Decide what runs linearly; short blocks in axes become poses with their neighbours."""
+        """Return the interpolation of each motion, (n,); dense short lines become POSES."""
         rows, cuts = self.rows, self.rows[:, col.RAPID] == 0.0
         linear = rows[:, col.GREAT_CIRCLE] == 0.0
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & linear
@@ -136,9 +136,9 @@ class Moves:
         return kind
 
     def _ruled_by_words(self, words: IntArray, drifts: BoolArray, settings: Settings) -> BoolArray:
-        """Return in which motions the rotary axes run linearly to their words, shape (n,).
+        """Return in which motions the rotary axes move linearly to programmed positions, (n,).
 
-        These are motions near the pole, motions that a corner may join with them, and ``drifts``.
+        These are motions near the pole, and those of ``words`` and ``drifts`` that join them.
         """
         near = np.zeros(len(self.rows), dtype=np.bool_)
         near[words] = self._near_pole(words, settings.flank_height)
@@ -156,14 +156,14 @@ class Moves:
         return np.asarray(ruled)
 
     def _near_pole(self, row: IntArray, height: float) -> BoolArray:
-        """Return which motions are so near to the pole that rotary words decide, shape (m,)."""
+        """Return which motions come so near the pole that rotary words must be followed, (m,)."""
         cone = POLE_TOLERANCES * self.rows[row, col.ORIENTATION] / height
         ends = self._before[row, col.ROTARY], self.rows[row, col.ROTARY]
         near = self._geometry.five_axis.nearest_to_pole(*ends)
         return np.asarray(near < np.maximum(cone, self._geometry.machine.singular_cone))
 
     def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:
-        """Return which lines in axes are short lines of poses within a tenth, shape (m,)."""
+        """Return which short lines in axes deviate little enough from lines of poses, (m,)."""
         height = settings.flank_height
         fits = self._short(row, settings)
         fits &= self.beside[row] | ~self._near_pole(row, height)
@@ -174,12 +174,12 @@ class Moves:
         return np.asarray(fits)
 
     def pieces(self, row: IntArray, turned: FloatArray, poses: Poses, height: float) -> IntArray:
-        """Return the number of pieces, (m,), in which turning motions are near their chords."""
+        """Return into how many pieces, (m,), turning motions are divided to stay near chords."""
         tip, top = CHORD_SHARE * self.rows[row][:, [col.CONTOUR, col.ORIENTATION]].T
         return piece_counts(lambda block, u: poses(row[block], u), turned, tip, top, height)
 
     def _short(self, row: IntArray, settings: Settings) -> BoolArray:
-        """Return in which motions the tip moves, but only a short distance, shape (m,)."""
+        """Return which motions are short moves of the tip, not mere turns, shape (m,)."""
         (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
         way = np.linalg.norm(tip - tip_from, axis=1)
         turn = settings.flank_height * angle_between(o_from, o)
@@ -217,7 +217,7 @@ class Moves:
         return np.where((u == 1.0)[:, None], self.rows[row, col.ROTARY], at)
 
     def poses(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return tool tips [m] and unit tool axes [-] at shares of motions, (m, 3) each."""
+        """Return tips [m] and unit tool axes [-] of motions ``row`` at ``u`` in [0, 1], (m, 3)."""
         point, rotary = self._points(row, u), self.rotary(row, u)
         by_axes = self._by_axes[row]
         if by_axes.any():
@@ -237,7 +237,7 @@ class Moves:
         return axis
 
     def _line_ends(self, row: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return start, end and centre of the moving point on a line or arc, (m, 3) each [m]."""
+        """Return start, end and centre of the moving point of lines or arcs, (m, 3) each [m]."""
         end, length = self.rows[row], (self._length * self._turns_length)[row, None]
         before = length * self.axis_before[row]
         last = end[:, col.POINT] - length * end[:, col.AXIS]
@@ -258,7 +258,7 @@ class Moves:
         return np.asarray(point)
 
     def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses; where rotary axes run linearly, points that deviate like the tip."""
+        """Return poses; with linear rotary axes, the moving point and a constant axis."""
         tip, axis = self.poses(row, u)
         linear = self.interpolation[row] != POSES
         if linear.any():

@@ -11,15 +11,15 @@ from cnc_interp.core import FloatArray, ProgramError
 @dataclass(frozen=True)
 class StartBlock:
     line: int  #: Requested line.
-    row: int  #: Row of ``Blocks`` with the first motion from that line on.
-    #: Number of executions of the line, and the requested execution, from 1.
+    row: int  #: Row of ``Blocks`` with the first motion at or after that line.
+    #: How often the line is executed, and the requested execution, counted from 1.
     passes: int
     which: int
     words: tuple[str, ...]  #: Modal state at that line, as the words that set it.
 
 
 class StartLine:
-    """Counts how often the line is reached, and notes the row with the first motion of each pass.
+    """Counts how often the start line is reached, and finds the row at which the run starts.
 
     ``line``: the start line, 0 for the top; ``which``: the execution of that line, 0 for the only
     one; ``row``: the row if already known.
@@ -34,7 +34,7 @@ class StartLine:
         self._rows = 0  # that were seen
 
     def reach(self, words: Callable[[], tuple[str, ...]]) -> None:
-        """Count the execution of a line that is about to begin; ``words`` returns the state."""
+        """Count an execution of the start line; ``words`` returns the modal state as words."""
         self.passes += 1
         if self.passes == self._which:
             self._words = words()

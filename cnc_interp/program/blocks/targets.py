@@ -1,4 +1,4 @@
-"""Motion targets to blocks: rows of numbers are collected and converted in batches."""
+"""Collect motion targets as rows of numbers, and convert them to blocks in batches."""
 
 from array import array
 from collections import deque
@@ -40,11 +40,11 @@ from cnc_interp.settings.options import Settings
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
 HOUR, LONGEST = 3600.0, 100.0 * 3600.0  #: A program that takes longer is rejected [s].
 MOST_CHANGES = 1000  #: Largest number of changes of the setup that are kept individually.
-#: Kind of program stop for each EXACT_STOP of a target.
+#: Kind of program stop for each value of the column EXACT_STOP.
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
 _ANTIPARALLEL = 1e-4  # [rad]
 _MOST_TURN = 500.0 * 360.0 * DEG
-#: Largest turn of a piece whose rotary axes run linearly while the tip keeps its line [rad].
+#: Largest turn of the rotary axes in a piece with linear rotary axes and a straight tip [rad].
 _LONGEST_TURN = 8.0 * 360.0 * DEG
 
 
@@ -52,7 +52,7 @@ _LONGEST_TURN = 8.0 * 360.0 * DEG
 class ProgramChange:
     change: SetupChange  #: The change.
     line_number: int  #: Line of the program.
-    #: Row of the blocks before which it happens; after the last block, the number of rows.
+    #: Row of the block before which the change happens; the number of rows after the last block.
     block: int
 
 
@@ -67,7 +67,7 @@ class TargetColumns:
         self._coming: deque[tuple[int, SetupChange | tuple[int, float], int]] = deque()
         self._at_last = 0  # changes before the last target
         self._stops: deque[tuple[int, int]] = deque()  # changes between target and program stop
-        #: Changes whose place is known; if there are very many, only those still in effect.
+        #: Changes with a known row; if there are very many, only those still in effect.
         self.changes: list[ProgramChange] = []
         self.functions = array('d')
         self._emitted = 0  # rows of the blocks so far
@@ -84,7 +84,7 @@ class TargetColumns:
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
         self._preceding = NOTHING_BEFORE  # the next motion
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
-        #: Positions of the extra axes before the first word, as in the columns EXTRA [m or rad].
+        #: Positions of the extra axes before a word sets them, as in the columns EXTRA [m or rad].
         self.extra_start = np.zeros(3)
         if (arm := geometry.machine.arm) is not None:
             self.extra_start[: len(arm.further)] = arm.home[ARM:]
@@ -102,7 +102,7 @@ class TargetColumns:
             self._rows.extend(ready)
 
     def give_spin(self) -> int:
-        """Let targets give the spin of an arm, times flank height [m]; return its column."""
+        """Reserve a column for the spin of an arm times flank height [m]; return its index."""
         place = len(self._extra)
         if place == len(self.extra_start):
             raise ProgramError('poses need an arm with at most two further joints', self._source)
@@ -131,7 +131,7 @@ class TargetColumns:
         return any(not isinstance(change, SetupChange) for _, change, _ in self._coming)
 
     def extend(self, rows: FloatArray) -> None:
-        """Add many targets, (n, WIDTH); their passes, changes and states are filled in."""
+        """Add many targets, (n, WIDTH), and fill in PASSES, CHANGES, modal state and LENGTH."""
         if len(self._rows) >= self._full:
             self._convert(last=False)
         rows[:, col.PASSES] = self.start.passes
@@ -140,7 +140,7 @@ class TargetColumns:
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
     def stop_here(self, kind: float = 1.0) -> None:
-        """Stop at the end of the last target; AT_M0 and AT_M1 also wait for the operator."""
+        """Stop at the last target; with ``kind`` AT_M0 or AT_M1, also wait for the operator."""
         if self._radius is not None and self._radius.waits:
             self._radius.stop_here(kind)
         elif self._rows:

@@ -13,7 +13,7 @@ from cnc_interp.program.text.control_traits import FANUC
 from cnc_interp.program.text.expressions import ExpressionError
 from cnc_interp.program.text.words import BlockWords
 
-#: Variables that a macro sets to raise an alarm with its text, or to stop.
+#: Variables that a macro sets to raise an alarm with a text, or to stop.
 ALARM, STOP = 3000, 3006
 IDLE = {
     3001,
@@ -78,7 +78,7 @@ def _set_name(at: Execution, name: str, value: float, others: bool) -> None:
 
 
 def _set_by_macro(at: Execution, number: int, value: float, words: BlockWords) -> bool:
-    """Execute an assignment to a variable of the control; False for a variable of the program."""
+    """Execute an assignment to a variable of the control; return False for other variables."""
     if at.mover.dialect is not FANUC or not 1000 <= number < 10_000:
         return False
     if number == ALARM:

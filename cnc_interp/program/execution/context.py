@@ -64,7 +64,7 @@ class Execution:
         self.tool = self.chosen_tool = setup.tool
         self.has_tool = False  # whether the last M6 names the tool in the spindle
         self.outputs: dict[str, str] = {}  # the last M code of each output
-        #: Last set by functions: G94 or G95, and with G96 the values that ``SURFACE`` names.
+        #: Values that functions set last: G94 or G95, and with G96 those named by ``SURFACE``.
         self.states: tuple[str, tuple[float, ...]] = 'G94', ()
         self.times: dict[str, float] = {}  # letters of the dwell of this block
         self.set_here: dict[str, str] = {}  # by modal value, the code of this block
@@ -99,7 +99,7 @@ class Execution:
         return self.mover.active_modes(code, offset, tool, self.outputs)
 
     def state(self) -> tuple[float, float, float]:
-        """Return the number of the modal state of blocks, the motion code and the feed."""
+        """Return the number of the current modal state, the motion code and the feed."""
         mover, tool = self.mover, self.tool
         code = '' if self.cycle is None else self.cycle.code
         motion = NONE if code or mover.motion is None else float(mover.motion)
@@ -134,7 +134,7 @@ class Execution:
         return self.mover.by_surface_speed and 'G96' in self.signals.words
 
     def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
-        """Continue after a probe, like ``ProgramStream.go_on``."""
+        """Continue after a probe; the arguments are those of ``ProgramStream.go_on``."""
         self.probe = None
         self._begin_at(stands if at is None else at)
         self.mover.probed = probing.answer(self.mover, at is not None)

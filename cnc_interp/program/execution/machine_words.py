@@ -15,7 +15,7 @@ from cnc_interp.program.text.words import BlockWords
 
 
 def choose_tool(at: Execution, words: BlockWords) -> None:
-    """Select the tool of T, to which M6 changes, or of M61 Q."""
+    """Select the tool given by T, or by Q with M61; M6 and M61 also change to it."""
     values = words.values
     changes = 'M6' in words.m or 'M61' in words.m
     at.refuse_if('M61' in words.m and 'Q' not in values, 'give the number of the tool as Q', 'M61')
@@ -33,7 +33,7 @@ def choose_tool(at: Execution, words: BlockWords) -> None:
 
 
 def set_speed(at: Execution, words: BlockWords) -> None:
-    """Process S; with G96, S is a surface speed, and D the largest spindle speed."""
+    """Process S; with G96, S is a surface speed, and D limits the spindle speed."""
     mover, speed, by_surface = at.mover, words.values.get('S'), at.by_surface
     if 'G96' in words.g and by_surface:
         mover.surface_limit = abs(words.values.pop('D', 0.0))
@@ -53,7 +53,7 @@ def set_speed(at: Execution, words: BlockWords) -> None:
 
 
 def _surface(at: Execution) -> tuple[float, float]:
-    """Return X of the axis where that of the program is 0 [mm], and the largest speed."""
+    """Return the X axis position at program X 0 [mm], and the largest speed [rev/min]."""
     mover = at.mover
     return float((mover.frames.point(np.zeros(3)) + mover.zero)[0] / MM), mover.surface_limit
 
@@ -120,7 +120,7 @@ def numbered_function(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def save_or_restore(at: Execution, code: str, _: BlockWords) -> None:
-    """Process M70 to M73: save, discard or restore the state; M73 restores at return."""
+    """Process M70 to M73, which save, discard or restore the state; M73 restores at return."""
     flow, mover = at.flow, at.mover
     if code == 'M72':
         if flow.saved_state is None:

@@ -19,7 +19,7 @@ from cnc_interp.program.text.words import BlockWords
 
 
 def dwell(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G4; its time is given by the letters P, X, F, U, or S (in revolutions)."""
+    """Process G4, a dwell; P, X, F or U give its time, or S its spindle revolutions."""
     given = at.times
     at.mover.end_corner()
     moves = not words.values.keys().isdisjoint(at.mover.frames.letters)
@@ -43,7 +43,7 @@ def tilt(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def thread(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G33, G33.1 (which returns) and Fanuc's G32; K or F is the travel per turn."""
+    """Process the threads G33, G33.1 (which returns) and Fanuc's G32; K or F is the pitch."""
     mover, letter = at.mover, 'F' if code == 'G32' else 'K'
     at.refuse_if(
         code == 'G32' and mover.dialect not in (FANUC, PLAIN),
@@ -71,7 +71,7 @@ def thread(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def probe(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G38.2 to G38.5 and G31: move from rest to rest, while the probe is watched."""
+    """Process the probing moves G38.2 to G38.5 and G31, which begin and end at rest."""
     mover = at.mover
     at.refuse_if(
         at.targets.start.line and not at.targets.start.passes,

@@ -10,7 +10,7 @@ from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.text.words import BlockWords
 
 KEYS = ('MIRROR', 'AMIRROR', 'SCALE', 'ASCALE')
-#: A scale without a decimal point from this value on is in thousandths; below, controls differ.
+#: From this value, a scale without a decimal point is in thousandths; below, controls differ.
 _THOUSANDTHS = 100.0
 
 
@@ -60,7 +60,7 @@ def _factor(at: Execution, letter: str, words: BlockWords) -> float:
 
 
 def _demand_rest(at: Execution, code: str) -> None:
-    """Reject states that controls mirror and scale in different ways."""
+    """Reject states in which controls differ in how they mirror and scale."""
     mover = at.mover
     at.refuse_if(
         mover.tcp or mover.oriented or at.plane.parts,
@@ -73,7 +73,7 @@ def _demand_rest(at: Execution, code: str) -> None:
 
 
 def scale_or_mirror_frame(at: Execution, key: str, words: BlockWords) -> None:
-    """Process MIRROR and SCALE, about the zero of the frame; AMIRROR and ASCALE keep the frame."""
+    """Mirror or scale about the zero of the frame; MIRROR and SCALE first reset the frame."""
     mover, frames = at.mover, at.mover.frames
     given = words.take('XYZ')
     _demand_rest(at, key)

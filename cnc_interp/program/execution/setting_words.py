@@ -14,7 +14,7 @@ from cnc_interp.program.text import code_tables as codes
 from cnc_interp.program.text.words import BlockWords
 from cnc_interp.settings.options import Settings
 
-#: Default tolerances, which nobody has requested [m].
+#: Default tolerances [m]; no notice is given if the program replaces them.
 USUAL = Settings().contour_tolerance, Settings().orientation_tolerance
 
 
@@ -31,7 +31,7 @@ def set_mode(at: Execution, code: str, _: BlockWords) -> None:
 
 
 def look_ahead(at: Execution, code: str, words: BlockWords) -> None:
-    """Process the switches G5, G5.1 and G8, which with other letters are splines."""
+    """Process the look-ahead switches G5, G5.1 and G8; reject them with letters of a spline."""
     if codes.SPLINE_LETTERS & words.values.keys():
         refuse(at, code, words)
     words.take(codes.LOOK_AHEAD[code])
@@ -135,7 +135,7 @@ def cutter_radius(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def _contact_normals(at: Execution, code: str, words: BlockWords) -> None:
-    """Process G41.2, G42.2; D, R: of the tool in use; Q, P: of the tool whose tips X Y Z are."""
+    """Process G41.2 and G42.2; D, R: radii of the tool in use; Q, P: of the programmed tool."""
     mover, values, chosen = at.mover, words.values, cutter_of(at, words)
     corner = chosen.corner_radius
     if 'R' in values:
@@ -234,7 +234,7 @@ def use_machine_coordinates(_: Execution, __: str, words: BlockWords) -> None:
 
 
 def high_speed_settings(at: Execution, key: str, words: BlockWords) -> None:
-    """Process CYCLE832: a tolerance, and smoothing instead of exact stops."""
+    """Process CYCLE832, which sets a tolerance and replaces exact stops by smoothing."""
     mover, given = at.mover, dict(words.keys)[key]
     tolerance = given[0] if given and given[0] else None
     if tolerance is not None and not 0.0 < tolerance * mover.unit < FARTHEST:

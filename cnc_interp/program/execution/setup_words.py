@@ -34,7 +34,7 @@ def choose_extended_offset(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def choose_offset(at: Execution, code: str) -> None:
-    """Select G54 to G59.3. The first one may be unknown; it is then the workpiece zero."""
+    """Select G54 to G59.3; if the first one selected is not known, it is the workpiece zero."""
     frames = at.mover.frames
     known = code in at.mover.setup.work_offsets
     if not known and frames.named not in ('', code):
@@ -48,7 +48,7 @@ def choose_offset(at: Execution, code: str) -> None:
 
 
 def keep_shift(at: Execution, before: FloatArray) -> None:
-    """Store a shift of the coordinates, for dialects whose incremental words run through it."""
+    """Store the shift of the coordinates, if incremental words of this dialect include it."""
     if at.mover.dialect.runs_shifts and not at.mover.targets.empty:
         at.mover.shifted += before - at.mover.here()
 
@@ -136,7 +136,7 @@ def write_setup(at: Execution, _: str, words: BlockWords) -> None:
 
 
 def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> None:
-    """Process G10 L1, the length of a tool; L10, L11 set it so that Z reads a value here."""
+    """Set a tool length by G10 L1; L10 and L11 set it so that Z reads the given value here."""
     mover, frames, values = at.mover, at.mover.frames, words.values
     at.demand(
         number in range(1, MOST_TOOL + 1),
@@ -208,7 +208,7 @@ def keep_reference(at: Execution, code: str, _: BlockWords) -> None:
 
 
 def shift_frame(at: Execution, _: str, words: BlockWords) -> None:
-    """Process G52: the frame moves; the tool does not."""
+    """Process G52, which shifts the frame but does not move the tool."""
     frames = at.mover.frames
     for i, value in _offset_words(at, words).items():
         frames.local[i] = value
@@ -216,7 +216,7 @@ def shift_frame(at: Execution, _: str, words: BlockWords) -> None:
 
 
 def preset(at: Execution, _: str, words: BlockWords) -> None:
-    """Process G92: suspended values are not restored, as in LinuxCNC."""
+    """Process G92; as in LinuxCNC, it does not restore values that G92.2 suspended."""
     mover, frames = at.mover, at.mover.frames
     mover.demand_no_scale('G92')
     here, amounts = mover.here(), frames.g92.copy()

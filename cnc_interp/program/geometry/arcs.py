@@ -15,10 +15,10 @@ import numpy as np
 
 from cnc_interp.core import INCH, MM, BoolArray, FloatArray, IntArray, ProgramError
 
-#: Plane to first axis, second axis and normal axis; G2 is clockwise seen against the normal.
+#: First, second and normal axis of each plane; G2 is clockwise, seen against the normal.
 PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
-#: Allowed difference of the radii at start and end, as in LinuxCNC: part of the radius [-], and
-#: its lower and upper limit [m], by unit. A chord may exceed its diameter by the same amount.
+#: Allowed difference of the radii at start and end, as in LinuxCNC: share of the radius [-], and
+#: its lower and upper limit [m], by unit. The chord may exceed the diameter by as much.
 RADIUS_SHARE, RADIUS_LEAST = 1e-3, {MM: 0.02 * np.sqrt(2.0) * MM, INCH: 2e-3 * np.sqrt(2.0) * INCH}
 LEAST_TO_MOST = 100.0
 SHORTAGE, SHORTAGE_MOST = 0.0127 * MM, 0.5 * MM
@@ -49,7 +49,7 @@ FAULTS = {
     8: f'{_OFF}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute',
     9: f'{_OFF}; they fit as the vector from the centre to the start: --arc-centres reversed',
 }
-#: Faults that may be caused by a wrong start point alone.
+#: Numbers of faults whose only cause may be a wrong start point.
 OF_PLACE = (3, 4, 5, 6, 8, 9)
 
 
@@ -145,7 +145,7 @@ def lengths(
     return np.asarray(np.hypot(radius * sweep, rise))
 
 
-#: Shorter lines count as zero [m, rad].
+#: Smaller lengths and angles count as zero [m, rad].
 _NOTHING = 1e-9
 Fault = Callable[[str, str], ProgramError]
 
@@ -164,9 +164,9 @@ class Corner:
         frame: FloatArray,
         fault: Fault,
     ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:
-        """Return the ends of the lines and the arc between [m]; None if RNDM meets no corner.
+        """Return where the two lines end, and the arc between them [m]; None: no corner for RNDM.
 
-        The columns of ``frame`` (3, 3) are both axes of the plane and its normal.
+        The columns of ``frame`` (3, 3) are the two axes of the plane and its normal.
         """
         start, vertex, end = (complex(*(frame[:, :2].T @ p)) for p in (here, corner, after))
         heights = [float(p @ frame[:, 2]) for p in (here, corner, after)]

@@ -1,9 +1,9 @@
 """Cutter compensation in space: from contact points and surface normals to the tip of the tool.
 
-Let the corner have radius r, its centre lie on a circle of radius R about the tool axis o, and n
-be the unit normal away from the part. Then tip = c + r (n - o) + R unit(n - (n . o) o). This is
-linear in r and R, so the same formula with differences of both converts the tip of one tool to
-that of another.
+Let c be the contact point, n the unit normal away from the part, and o the tool axis. The corner
+of the tool has radius r, and its centre lies on a circle of radius R about o. Then
+tip = c + r (n - o) + R unit(n - (n . o) o). This is linear in r and R, so the same formula with
+differences of both converts the tip of one tool to that of another.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.program.text.words import BlockWords
 
-#: Below this sine of the angle to the tool axis, a normal counts as parallel to it. Up to the
-#: second value the side on which the tool touches is uncertain [-].
+#: Sines of the angle between normal and tool axis [-]: below the first one they count as
+#: parallel; up to the second one it is uncertain on which side the tool touches.
 PARALLEL, UNSURE = 1e-6, 1e-3
 ROUNDED = 1e-4  #: A normal may point down the tool by this cosine, because programs round.
 FLANK = 1e-3  #: The flank of the tool touches if the cosine of normal and tool axis is less.
 SHORTEST = 1e-9  #: A shorter way between two contact points has no direction [m].
-#: Words of the normal; a shorter normal has no direction [-].
+#: Words of the normal, and the length below which a normal has no direction [-].
 NORMAL_WORDS, SMALLEST = ('A5', 'B5', 'C5'), 1e-6
 _NO_FIT = 'the cutter does not fit here; use a smaller tool'
 Fault = Callable[[str], ProgramError]
@@ -52,7 +52,7 @@ class ContactPath:
         self._before: tuple[FloatArray, FloatArray, float] | None = None
 
     def take(self, words: BlockWords, turn: FloatArray, fault: Fault) -> None:
-        """Read the normal (I J K, or A5 B5 C5) from a block; by default, keep the last one."""
+        """Take the contact normal (I J K, or A5 B5 C5) from a block, or keep the last one."""
         named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
         given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
         if not named:
@@ -65,7 +65,7 @@ class ContactPath:
         self._normal = np.asarray(turn @ (np.array(given) / length))
 
     def tip(self, point: FloatArray, axis: FloatArray, cuts: bool, fault: Fault) -> FloatArray:
-        """Return the tip of the tool, (3,) [m]; raise if it cannot touch, or would cut in."""
+        """Return the tool tip, (3,) [m]; raise if the tool cannot touch or would gouge."""
         normal = self._normal
         if normal is None:
             raise fault(
@@ -91,7 +91,7 @@ class ContactPath:
     def _demand_room(
         self, point: FloatArray, normal: FloatArray, cosine: float, cuts: bool, fault: Fault
     ) -> None:
-        """Raise if the surface is too concave for the cutter: its centre runs backwards."""
+        """Raise if the surface is so concave that the centre of the cutter moves backwards."""
         before, self._before = self._before, (point, normal, cosine)
         if before is None or not cuts:
             return

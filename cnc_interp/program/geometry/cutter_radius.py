@@ -4,7 +4,7 @@ Each element is offset by d, positive to the left (G41): a line along its normal
 radius R - d if it runs counter-clockwise, else R + d. At an outer corner the tool rolls about the
 vertex; at an inner one the offsets are cut where they meet. Points in the plane are complex.
 
-The first line after G41 ends beside the start of the next element, or its own end (LinuxCNC).
+The first line after G41 ends beside the next element's start; in LinuxCNC, beside its own end.
 
 Where the contour meets itself, it closes a loop, and the tool must not cut into that loop.
 It may cut into the leads, the elements that lead to the loop and away from it.
@@ -24,17 +24,17 @@ from cnc_interp.core import MM, FloatArray, ProgramError
 from cnc_interp.program.geometry import target_row as col
 
 SMOOTH = 1e-6  #: Elements whose directions differ by less meet without a corner [rad].
-#: Shorter elements are left out [m]. Rounding of intersections [m].
+#: Length below which elements are left out, and rounding error of intersections [m].
 SHORTEST, ROUNDING = 1e-9, 1e-9
-#: Number of elements within which the cutter is checked for touching the contour again.
+#: Number of neighbouring contour elements with which a piece of the path is compared.
 COMPARED = 60
 #: Largest number of leads before and after a loop; largest gap at which a loop closes, and length
 #: of the shortest loop [m].
 LEADS, CLOSED, SHORTEST_LOOP = 4, 0.01 * MM, 0.1 * MM
 #: At inner turns below this angle, offsets that do not meet are joined as they are. At turns
-#: within this angle of half a turn, the tool rolls about the vertex [rad].
+#: that differ from half a turn by less, the tool rolls about the vertex [rad].
 NEARLY_SMOOTH = 0.05
-#: Shares of an element at which its distance from others is compared.
+#: Points of an element at which its distance from others is compared, 0 (start) to 1 (end).
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _NO_FIT = 'the cutter does not fit here; use a smaller radius, or round the contour'
 
@@ -79,7 +79,7 @@ class Element:
         return self.radius * abs(self.sweep) if self.is_arc else abs(self.end - self.start)
 
     def is_near(self, other: Element, distance: float) -> bool:
-        """Return whether two elements may be so near to each other, by circles around both."""
+        """Return whether two elements may be within ``distance`` [m], by circles around both."""
         middles, reach = [], distance
         for one in (self, other):
             middles.append(one.centre if one.is_arc else 0.5 * (one.start + one.end))
@@ -88,7 +88,7 @@ class Element:
         return abs(middles[1] - middles[0]) <= reach
 
     def parted(self, point: complex) -> tuple[Element, Element]:
-        """Return the parts before and after one of its points."""
+        """Return the parts of the element before and after one of its points."""
         first, second = replace(self, end=point), replace(self, start=point)
         if self.is_arc:
             sign = float(np.copysign(1.0, self.sweep))
@@ -168,7 +168,7 @@ def crossings(first: Element, second: Element) -> list[complex]:
 
 
 def meeting(first: Element, second: Element) -> complex | None:
-    """Return where an element first meets an earlier one, or None."""
+    """Return the point where the second element first meets the first, earlier one; or None."""
     if not first.is_near(second, CLOSED):
         return None
     found = [
@@ -256,7 +256,7 @@ class CutterRadius:
         return ready
 
     def _pace(self, element: Element, row: FloatArray) -> None:
-        """Give a row of inverse time (G93) the speed of its contour; corners get it too."""
+        """Replace the duration of a row (G93) by the feedrate on its contour, also for corners."""
         rise = float((row[col.POINT] - self._point) @ self._frame[:, 2])
         self._point = row[col.POINT].copy()
         if isfinite(row[col.DURATION]):
@@ -283,7 +283,7 @@ class CutterRadius:
         self._last = Element(stands, end, centre, sense * (sense * turn % (2.0 * pi)))
 
     def _element(self, row: FloatArray) -> Element | None:
-        """Return the motion to a row in the plane; None if it runs along the normal only."""
+        """Return the element that leads to a row, in the plane; None if it is along the normal."""
         end = self._flat(row[col.POINT])
         if not isfinite(row[col.SWEEP]):
             return Element.line(self._here, end) if abs(end - self._here) > SHORTEST else None
@@ -344,7 +344,7 @@ class CutterRadius:
         return ready
 
     def _to(self, end: complex, row: FloatArray) -> list[FloatArray]:
-        """End the last element at a point; return its row, and moves along the normal there."""
+        """End the last element at a point; return its row, then rows along the normal."""
         assert self._last is not None
         part = self._last.between(self._last.start, end)
         if part is None:
@@ -372,7 +372,7 @@ class CutterRadius:
         return made
 
     def _compare(self, element: Element, row: FloatArray) -> None:
-        """Add an element of the contour; unless it is a lead-in, check the path against it."""
+        """Add a contour element; if it is not a lead-in, check that the path does not gouge it."""
         number, kept = self._count, element
         self._length += element.length
         is_lead = number - self._met <= LEADS
@@ -395,7 +395,7 @@ class CutterRadius:
             self._judge(path, kept, row, number, other)
 
     def _meeting(self, element: Element) -> tuple[int, complex] | None:
-        """Return the first element that this one meets, and where."""
+        """Return number and meeting point of the first element that this one meets; or None."""
         recent = [part for part in self._parts if part[0] > LEADS]
         for other, part, end in (*self._first, *recent):
             loop = self._length - element.length - end
@@ -404,7 +404,7 @@ class CutterRadius:
         return None
 
     def _close(self, first: int, begin: Element) -> None:
-        """Close a loop that begins with an element, or a part of it; before it are leads."""
+        """Close a loop that begins with ``begin``, which is element ``first`` or its rest."""
         if self._is_closed or first > LEADS:
             return
         self._is_closed = True
@@ -420,7 +420,7 @@ class CutterRadius:
     def _judge(
         self, path: Element, part: Element, row: FloatArray, number: int, other: int
     ) -> None:
-        """Raise if a piece of the path is too near to a part; possible leads are checked later."""
+        """Raise if the path comes too near a contour element; possible leads are checked later."""
         if not path.is_near(part, abs(self._distance)):
             return
         apart = min(

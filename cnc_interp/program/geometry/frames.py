@@ -1,7 +1,7 @@
 """Conversion of program coordinates to points: work offsets, shifts, rotated frames, tool length.
 
     point = work + Rz @ (programmed_turn @ scaled + shift + G52 + G92) + tool length
-    scaled = factor * program + moved, of mirroring (factor -1) and scaling
+    scaled = factor * program + moved, for mirroring (factor -1) and scaling
 
 With tool-tip programming, a point is the tip in W; without it, X Y Z minus the workpiece zero.
 """
@@ -31,7 +31,7 @@ class Frames:
         #: Shift and rotation that the program has set, in the frame of the work offset.
         self.shift, self.programmed_turn = np.zeros(3), np.eye(3)
         self.tilt_code = ''  #: The code of the rotation; empty for ROT.
-        #: Where axes are mirrored, by their number [m]; scale and its centre [-, m].
+        #: Position at which each axis number is mirrored [m]; scales and their centre [-, m].
         self.mirrors: dict[int, float] = {}
         self.scale, self.scale_centre = np.ones(3), np.zeros(3)
         self.take(setup)
@@ -62,7 +62,7 @@ class Frames:
     def work_change(
         self, index: int, words: dict[int, float], here: Vector | None, angle: float | None = None
     ) -> SetupChange:
-        """Return the change by G10 L2, or L20, after which ``here`` has the given coordinates."""
+        """Return the change of an offset by G10 L2, or by L20 (``here`` then reads ``words``)."""
         name = WORK_OFFSETS[index - 1] if index else self._setup.offset
         position = dict(self._setup.work_offsets.get(name, {}))
         if angle is not None:
@@ -74,7 +74,7 @@ class Frames:
         return SetupChange('work_offsets', position, name)
 
     def origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
-        """Return the machine zero for which the current position has the given coordinates."""
+        """Return the zero of a work offset with which the position ``here`` reads ``words``."""
         turn = rotation(2, self._setup.rotation(name))
         added, zero = self.local + self.g92, self.work(name)
         gone = here - np.array([*(self.length * self.along), 0.0, 0.0])
@@ -121,11 +121,11 @@ class Frames:
             self.length,
             scaled,
         )
-        #: Codes of the shifts beside the work offset that are not zero.
+        #: Codes of the shifts that are added to the work offset and are not zero.
         self.shifts = tuple(code for code, counts in found.items() if counts)
 
     def coordinates(self, offset: str, of_tip: bool, rotary: int) -> ProgramCoordinates:
-        """Return the coordinates in effect, for a number of rotary axes."""
+        """Return the program coordinates in effect; ``rotary``: the number of rotary axes."""
         if self.scales:
             return ProgramCoordinates()  # program coordinates do not cover mirrored or scaled axes
         name = ' + '.join((offset, *self.shifts)) + (', tool tip' if of_tip else '')
@@ -146,7 +146,7 @@ class Frames:
         return np.asarray((scaled - self._moved) / self.factor)
 
     def plane(self, a: int, b: int) -> FloatArray:
-        """Return the directions of two program axes, and of their normal, (3, 3)."""
+        """Return the directions of two program axes and of their normal as columns, (3, 3)."""
         first, second = (self.turn[:, i] * np.sign(self.factor[i]) for i in (a, b))
         return np.stack([first, second, np.cross(first, second)], axis=1)
 
@@ -175,7 +175,7 @@ class Frames:
 
 
 def rotation(axis: int, angle: float) -> FloatArray:
-    """Return the rotation about a coordinate axis, shape (3, 3); right angles are exact."""
+    """Return the rotation matrix about a coordinate axis, (3, 3); right angles are exact."""
     c, s = np.cos(angle), np.sin(angle)
     c, s = (np.round(v) if abs(v - np.round(v)) < 1e-15 else v for v in (c, s))
     i, j = (axis + 1) % 3, (axis + 2) % 3

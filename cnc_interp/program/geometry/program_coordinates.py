@@ -31,14 +31,14 @@ class ProgramCoordinates:
     def of_place(
         self, positions: FloatArray, tip: FloatArray, axis: FloatArray, zero: FloatArray
     ) -> FloatArray:
-        """Convert a place of the machine.
+        """Convert axis positions to program coordinates.
 
         Parameters
         ----------
         positions : ndarray, shape (n,)
-            Axis positions [m, rad]; of an arm, its tool tip and its further joints.
+            Axis positions [m, rad]; for an arm, its tool tip and its further joints.
         tip, axis : ndarray, shape (3,)
-            Tool tip [m] and unit tool axis [-] there, in the workpiece frame.
+            Tool tip [m] and unit tool axis [-] at these positions, in the workpiece frame.
         zero : ndarray, shape (3,)
             Workpiece zero of the machine file [m].
 
@@ -57,7 +57,7 @@ class ProgramCoordinates:
         return found
 
     def change_of_zero(self, change: Mapping[int, float]) -> FloatArray:
-        """Return the change of a work offset that reduces coordinates by some amounts [m, rad]."""
+        """Return the change of a work offset that reduces coordinates (by index) [m, rad]."""
         less = np.zeros(max(3, len(self.origin)))
         for index, value in change.items():
             less[index] = value

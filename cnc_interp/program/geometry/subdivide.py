@@ -1,4 +1,4 @@
-"""Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
+"""Division of blocks into pieces in which [B2013, Eq. 4] approximates the programmed motion.
 
 The deviation of a piece falls with the square of its length, so one trial gives the number of
 pieces.
@@ -34,7 +34,7 @@ def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatAr
 
 
 def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
-    """Return the angles between unit vectors, exact for small and for large angles."""
+    """Return the angles between unit vectors [rad], accurate for small and large angles."""
     apart = np.linalg.norm(o_to - o_from, axis=1)
     return np.asarray(2.0 * np.arctan2(apart, np.linalg.norm(o_to + o_from, axis=1)))
 
@@ -46,7 +46,7 @@ def piece_counts(
     allowed_top: FloatArray,
     height: float,
 ) -> IntArray:
-    """Return the number of equal pieces, (n,), that keep motion near chords and great circles.
+    """Return how many equal pieces of each block, (n,), stay near chords and great circles.
 
     ``poses``: from block indices and parameters in [0, 1], (m,), to tips [m] and tool axes;
     ``turned`` (n,): turn of the rotary axes or of the arc [rad]; ``allowed_tip``, ``allowed_top``
@@ -96,7 +96,7 @@ def _largest_deviation(
 
 
 def ragged(counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Return block and piece (from 0 in its block) of each of all pieces, by counts (n,)."""
+    """Return block index and index within its block of every piece, given ``counts`` (n,)."""
     row = np.repeat(np.arange(len(counts)), counts)
     first = np.cumsum(counts) - counts
     return row, np.arange(len(row)) - first[row]

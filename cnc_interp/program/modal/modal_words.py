@@ -13,7 +13,7 @@ from cnc_interp.program.text.control_traits import FANUC, PLAIN, Dialect
 
 @dataclass(frozen=True)
 class Mode:
-    #: Words with the value that each sets; the first word with a value is shown for it.
+    #: Value that each word sets; of several words for a value, the first one is displayed.
     codes: Mapping[str, Any] = field(default_factory=dict)
     has_handler: bool = False  #: Whether its words also have a handler (``execution/``).
     kept: bool = True  #: Whether an MDI line inherits it from the line before.
@@ -76,7 +76,7 @@ class ModalValues:
     spindle_speed: float = _mode(0.0)  #: [rev/min].
     contour: float = _mode(0.0)  #: Tolerances [m].
     orientation: float = _mode(0.0)
-    #: Whether S is a surface speed (G96), that speed [m/min], and the largest speed [rev/min].
+    #: Whether S is a surface speed (G96), that speed [m/min], and the speed limit [rev/min].
     by_surface_speed: bool = _mode(False, recorded=False)
     surface_speed: float = _mode(0.0, recorded=False)
     surface_limit: float = _mode(0.0, recorded=False)

@@ -24,9 +24,9 @@ from cnc_interp.program.text.flow import Flow
 from cnc_interp.settings.options import Settings
 
 FARTHEST = 1e5 * MM
-#: Blocks per minute (G93) below which a notice states the duration, an hour or more.
+#: Below this F with G93 [1/min], a notice states the duration, which is over an hour.
 SLOWEST = 1.0 / 60.0
-#: Word of tool-tip programming while the tool is upright on a tilted plane.
+#: Value of ``tcp`` while the tool is upright on a tilted plane.
 ORIENTED = 'G53.1'
 #: A larger turn of a rotary axis in one cutting block gives a notice [rad].
 LONG_WAY = 180.0 * DEG + 1e-9
@@ -115,14 +115,14 @@ class ModalState(ModalValues):
         #: -1 if I J K lead from the centre of an arc to its start.
         self.centre_sense = -1.0 if settings.arc_centres == 'reversed' else 1.0
         #: Whether the meaning of I J K is still unknown, so that the first arc may determine it;
-        #: the refusal of that arc stays until two more arcs agree.
+        #: that arc is rejected after all unless two more arcs agree.
         self.centres_open = settings.arc_centres == 'auto'
         self.lone_arc: ProgramError | None = None
         self.agreeing = 0
         #: I J K and R of the last arc [m], which some posts do not repeat.
         self.last_centre, self.last_radius = np.full((1, 3), nan), nan
         self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
-        #: G41 or G42, and the plane of the compensation; empty without.
+        #: G41 or G42, and the plane of the compensation; empty if it is off.
         self.radius_code = self.radius_plane = ''
         #: Whether G41 and G42 compensate along normals (CUT3DF), and the path being compensated.
         self.along_normals = False
@@ -140,20 +140,20 @@ class ModalState(ModalValues):
         self.point = np.zeros(3)
         self.rotary = np.zeros(2) if self.rotary_letters else np.full(2, nan)
         self.named = 0.0
-        #: Shifts of new frames that incremental words still run through [m, rad].
+        #: Shifts of new frames that the next incremental words must include [m, rad].
         self.shifted = np.zeros(5)
-        #: Offset of the tool from its programmed place after G40 [m]; None if there is none.
+        #: Offset of the tool from the programmed position after G40 [m]; None if there is none.
         self.beside: FloatArray | None = None
         self.leaves_contour = False  # whether the next motion leads away from a contour
         #: Positions of the extra axes, measured from their machine zero [m or rad].
         self.extra = self.targets.extra_start.copy()
         self._along = extra_directions(geometry.machine)
-        #: Tool axis from direction words; None if rotary words were the last ones.
+        #: Tool axis from direction words; None if rotary words came later.
         self.vector: FloatArray | None = None
         self.told_feed_of_turns = False
         #: Vector with which a spline G5 without I J begins, and end of the spline before it [m].
         self.spline_goes_on = np.full((2, 3), nan)
-        #: Letters of axes that words have named since the last rejected line.
+        #: Letters of the axes programmed since the last rejected line.
         self.placed: set[str] = set()
 
     def begin_targets(self) -> None:
@@ -247,13 +247,13 @@ class ModalState(ModalValues):
 
     @property
     def by_axes(self) -> bool:
-        """Whether axis words are axis positions, as with rotary or extra axes without TCP."""
+        """Whether axis words are axis positions: with rotary or extra axes, but without TCP."""
         by_words = bool(self.rotary_letters or self.extra_letters) and not self.tcp
         return by_words and self.geometry.machine.arm is None
 
     @property
     def axes_column(self) -> float:
-        """Return the column AXES of targets; on Fanuc, degrees count as millimetres of travel."""
+        """Return the value of the column AXES; on Fanuc, degrees count as millimetres of F."""
         return COMBINED if self.by_axes and self.dialect is FANUC else float(self.by_axes)
 
     def tell_feed_of_turns(self, point: FloatArray) -> None:
@@ -284,12 +284,12 @@ class ModalState(ModalValues):
         return np.concatenate([self.frames.program(self.point), rotary])
 
     def in_words(self, place: FloatArray) -> dict[str, float]:
-        """Return a position (5,) by axis letter, in program units and deg."""
+        """Return a position, (5,) [m, rad], by axis letter, in program units and deg."""
         sizes = np.array([self.unit] * 3 + [DEG] * 2)
         return dict(zip(self.frames.letters, (place / sizes).tolist(), strict=False))
 
     def switch_tcp(self, word: str) -> None:
-        """Switch tool-tip programming on by a word, or off (empty); the axes do not move."""
+        """Switch tool-tip programming on by ``word``, or off if it is empty; no axis moves."""
         word = word or (ORIENTED if self.oriented else '')
         if bool(word) == bool(self.tcp):
             self.tcp = word
@@ -329,7 +329,7 @@ class ModalState(ModalValues):
             self.switch_tcp('')
 
     def rotary_of_vector(self) -> None:
-        """Compute the rotary positions after direction words, nearest to the last rotary words."""
+        """Set the rotary positions nearest to the last ones that give the tool axis of words."""
         if self.vector is None or not self.rotary_letters:
             return
         upright = np.abs(np.cross(self.vector, self.geometry.five_axis.pole)).max() < UPRIGHT

@@ -21,7 +21,7 @@ _STANDS = 5021
 
 
 def numbered(state: ModalState, tool: int, cycle: str) -> dict[int, float]:
-    """Return the system variables at a line, by number."""
+    """Return the values of the system variables, by number."""
     if state.dialect in (LINUXCNC, HEIDENHAIN):  # whose words Fanuc has no numbers for
         return _of_linuxcnc(state, tool)
     words, offset = state.active_codes(), state.setup.offset.split(' P')

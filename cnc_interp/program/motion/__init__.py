@@ -1,1 +1,1 @@
-"""Motions of words: single blocks, cycles, threads, splines, planes and probing."""
+"""The motions that words command: single blocks, cycles, threads, splines, planes and probing."""

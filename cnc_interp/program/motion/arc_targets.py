@@ -1,4 +1,4 @@
-"""Arcs as written in blocks: the centre, plane and sense that their words mean."""
+"""Conversion of the words of an arc to its centre, plane and sense of rotation."""
 
 from math import nan
 
@@ -16,7 +16,7 @@ _PLANE_OF = {'IJ': 'G17', 'IK': 'G18', 'JK': 'G19'}
 
 
 class ArcTargets(ModalState):
-    """The modal state extended for arcs: the last centre, and the meaning of centres."""
+    """The modal state extended by arcs: the last centre, and how I J K are interpreted."""
 
     def _arc(self, target: FloatArray, words: BlockWords) -> tuple[float, ...]:
         offset, absolute = np.full((1, 3), nan), np.zeros((1, 3), dtype=bool)
@@ -77,7 +77,7 @@ class ArcTargets(ModalState):
     def _modal_centre(
         self, words: BlockWords, target: FloatArray, offset: FloatArray, radius: float
     ) -> tuple[FloatArray, float]:
-        """Return centre or radius of the last arc, if this one has none and they fit."""
+        """Return centre and radius; if a block has neither, those of the last arc if they fit."""
         if self.last_radius > 0.0 and words.g:
             found = offset, self.last_radius
         elif self._fits(
@@ -93,7 +93,7 @@ class ArcTargets(ModalState):
         return found
 
     def _plane_told(self, target: FloatArray, offset: FloatArray, absolute: bool = False) -> str:
-        """Return the plane of an arc, or the plane given by I J K if they fit no other."""
+        """Return the active plane, or the plane of I J K if the arc fits in that one only."""
         given = set(np.array(list('IJK'))[np.isfinite(offset[0])])
         known = given and self.dialect in (FANUC, PLAIN)
         if known and not (len(given) == 1 and self._fits(target, offset, absolute)):

@@ -29,18 +29,18 @@ _TWO_MEANINGS = (
 )
 _SHORT = 1e-6  #: Distance from the end of travel at which a retract ends [m].
 MOST_TURN = 1e3 * 360.0 * DEG
-#: Shares of the contour tolerance for a turning tool length: of the gauge point, and of the turn;
-#: chords use the rest [-].
+#: Shares of the contour tolerance while the tool length turns: of the gauge point, and of the
+#: turn; chords use the rest [-].
 OF_GAUGE_POINT, OF_TURN = 0.5, 0.4
 
 
 class Mover(ArcTargets):
     corner = NO_CORNER  #: Corner at the end of the next line.
-    #: A line that waits for the next one: its corner, place in the text, start [m] and row.
+    #: A line held until the next one is read: corner, place in the text, start [m] and row.
     held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...], int] | None = None
 
     def move(self, words: BlockWords, feed_given: bool, machine: bool = False) -> None:
-        """Move to the axis words of a block and consume them.
+        """Move to the position in the axis words of a block, and remove these words.
 
         ``machine``: whether they are machine coordinates (G53, G153, SUPA).
         """
@@ -126,7 +126,7 @@ class Mover(ArcTargets):
         self.go(self.frames.point(place[:3]), rotary, feed_given=feed_given, rapid=rapid)
 
     def draw_back(self, distance: float | None, feed: float) -> None:
-        """Retract the tool along its axis [m], or to the end of travel; by default as a rapid."""
+        """Retract by ``distance`` [m], or to the end of travel; a rapid if ``feed`` is 0."""
         self.rotary_of_vector()
         tips = np.stack([self.tool_axis, np.zeros(3), self.point])
         top, tip, q = self.geometry.linear(tips, np.tile(np.nan_to_num(self.rotary), (3, 1)))
@@ -185,7 +185,7 @@ class Mover(ArcTargets):
         return self.fault(text, self.radius_code)
 
     def end_radius(self) -> None:
-        """End the compensation where the tool is; after normals the next block ends as written."""
+        """End the compensation here; after contact normals the next block ends as written."""
         self.end_corner()
         self.leaves_contour = bool(self.radius_code) and self.contact is None
         if self.contact is not None:
@@ -198,7 +198,7 @@ class Mover(ArcTargets):
                 self.beside, self.point = stands - self.point, stands
 
     def turn_to(self, point: FloatArray, rotary: FloatArray) -> None:
-        """Add a rapid as if words had named the axes; before any motion, set the start instead."""
+        """Add a rapid as if axis words commanded it; before any motion, set the start instead."""
         self.named = float(bool(self.rotary_letters))
         if self.targets.empty:
             self.point, self.rotary = point, rotary
@@ -213,7 +213,7 @@ class Mover(ArcTargets):
                 self.targets.change(step, self.flow.main_line)
 
     def in_step(self, code: str, point: FloatArray, pitch: float, comes_back: bool) -> None:
-        """Move to a point in step with the spindle, ``pitch`` per turn [m], and maybe back."""
+        """Move to a point, or there and back, in step with the spindle; ``pitch`` per turn [m]."""
         self.refuse_if(
             self.by_surface_speed or not self.spindle_speed > 0.0,
             'needs S, the speed in rev/min',
@@ -380,7 +380,7 @@ class Mover(ArcTargets):
         feed_given: bool = True,
         rapid: bool | None = None,
     ) -> None:
-        """Add a target [m, rad], ``vector`` by direction words; ``rapid`` None: by G0 to G3."""
+        """Add a target [m, rad]; ``vector``: from direction words; ``rapid`` None: by G0 to G3."""
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
             raise self.fault(
@@ -440,7 +440,7 @@ class Mover(ArcTargets):
             self.targets.add(row)
 
     def tolerances(self) -> tuple[float, float]:
-        """Return the tolerances of a target [m], reduced while a tool length turns."""
+        """Return the tolerances of a target [m], smaller while the tool length turns."""
         if not (self.tcp and self.frames.length):
             return self.contour, self.orientation
         lever = abs(self.frames.length) / self.settings.flank_height

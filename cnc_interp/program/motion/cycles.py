@@ -34,7 +34,7 @@ class Hole:
     bottom: float
     clear: float  #: Level at which the tool has left the hole.
     pecks: Sequence[float] = ()  #: Levels above the bottom at which the tool turns back.
-    #: Whether it retracts after each peck only by ``gap``; otherwise it leaves the hole, and
+    #: Whether the tool retracts after each peck only by ``gap``; otherwise it leaves the hole, and
     #: returns to ``gap`` above the last peck.
     breaks: bool = False
     gap: float = 0.0
@@ -50,7 +50,7 @@ class Hole:
     reverse: str = ''  #: Spindle word for leaving a tapped hole: M4, or M3 for a left-hand thread.
 
     def strokes(self) -> Iterator[tuple[float, int, bool, float]]:
-        """Yield level, kind, whether the tool is shifted, and the stop at the end, per stroke."""
+        """Yield for each stroke: level, kind, whether the tool is shifted, and stop at its end."""
         for peck in self.pecks:
             yield peck, INTO, False, 0.0
             if not self.breaks:
@@ -74,7 +74,7 @@ def pecks_of(
     fault: Callable[[str], ProgramError],
     then: Callable[[float, float], float] | None = None,
 ) -> list[float]:
-    """Return the levels of pecks [m]; ``then``: next stroke, given the last one and the rest."""
+    """Return the levels of pecks [m]; ``then``: next stroke, from the last one and the rest."""
     depth, done, stroke, levels = top - bottom, first, first, list[float]()
     while depth - done > _NOTHING:
         levels.append(top - done)
@@ -127,7 +127,7 @@ def make_hole(
 
 
 def dwell_of(mover: Mover, code: str, time: float, text: str = '.') -> float:
-    """Return the time of a dwell [s]; the control defines the unit of P without a point."""
+    """Return the time of a dwell [s]; 0 if the unit of a P without a decimal point is unknown."""
     fanuc, sure = mover.dialect is FANUC, '.' in text or mover.dialect in (FANUC, LINUXCNC)
     kept = 'G4' in mover.geometry.machine.signals.words
     if time and not (kept and sure):

@@ -1,7 +1,7 @@
-"""Probing: G38.2 to G38.5, G31 of Fanuc and MEAS of Siemens, from rest, until the probe answers.
+"""Probing by G38.2 to G38.5, G31 (Fanuc) and MEAS (Siemens): move until the probe answers.
 
 In a live run the program is read up to the probe, executed, and then read further
-(``ProgramStream.go_on``): #5061 to #5066 hold the contact, and #5070 is 1. Otherwise the probe is
+(``ProgramStream.go_on``): #5061 to #5066 are the contact, and #5070 is 1. Otherwise the probe is
 assumed to answer at the end of its move.
 """
 
@@ -117,7 +117,7 @@ class Cycle:
     parameters: tuple[Parameter, ...]
 
     def line(self, values: Mapping[str, float]) -> str:
-        """Return the MDI line that runs it; InterpError for an unknown value."""
+        """Return the MDI line that calls the cycle; raise InterpError for an unknown value."""
         known = {parameter.name: parameter.default for parameter in self.parameters}
         for name, value in values.items():
             if name not in known or not isfinite(value):

@@ -20,7 +20,7 @@ from cnc_interp.program.text.words import BlockWords
 _SECOND = ('XH', 'YH', 'ZH')
 CURVE_WORDS = frozenset((*_SECOND, 'PL', 'SD', 'PW'))
 _SHORTEST_TOOL = 1e-6  #: Smallest distance between tip and second point [m].
-#: Largest difference between the start of a curve and the tool: tip [m] and tool axis [-].
+#: Allowed distance of the tool from the start of a curve: tip [m] and tool axis [-].
 _SAME, _SAME_AXIS = 1e-9, 1e-6
 _LEAST_POINTS = 4
 NO_SECOND = 'give XH YH ZH, all three at first, as a point above X Y Z'
@@ -29,7 +29,7 @@ _MOST_REPEATED = 3
 
 
 class ProgrammedCurve:
-    """The control points of one curve; ``height``: of second points not programmed [m]."""
+    """Control points of one curve; ``height`` [m]: of second points that are not programmed."""
 
     def __init__(
         self,

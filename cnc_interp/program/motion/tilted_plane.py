@@ -85,7 +85,7 @@ class TiltedPlane:
         return turn
 
     def _projected(self, angles: FloatArray) -> FloatArray:
-        """Return the plane of X turned I about Y and Y turned J about X, then turned by K."""
+        """Return the plane through X turned I about Y and Y turned J about X, then turned by K."""
         along, beside = rotation(1, angles[0])[:, 0], rotation(0, angles[1])[:, 1]
         normal = np.cross(along, beside)
         return self.plane_of(along, normal) @ rotation(2, angles[2])
@@ -180,7 +180,7 @@ class TiltedPlane:
         self._mover.frames.update()
 
     def _orient(self, code: str, words: BlockWords) -> None:
-        """Process G53.1, G53.3, G53.6, in a rapid; P1: tilting axis above zero, P2: below."""
+        """Process G53.1, G53.3, G53.6: turn the tool; P1: tilting axis above 0, P2: below 0."""
         choice = words.values.pop('P', 0.0)
         self.demand(choice in (0.0, 1.0, 2.0), 'P must be 0, 1 or 2', words.texts.get('P', ''))
         if not self._mover.frames.rotated and code != 'G53.3':
@@ -188,7 +188,7 @@ class TiltedPlane:
         self.stand_up(code, int(choice), words)
 
     def stand_up(self, code: str, choice: int, words: BlockWords, table: bool = False) -> None:
-        """Turn the rotary axes; ``choice`` as P of G53.1; ``code``: which point stays."""
+        """Turn the tool upright; ``choice``: P of G53.1; ``code``: which point stays in place."""
         mover = self._mover
         mover.rotary_of_vector()
         rotary = self.solution(choice, code, table)
@@ -207,7 +207,7 @@ class TiltedPlane:
             mover.switch_tcp(tcp)
 
     def solution(self, choice: int, code: str, table: bool = False) -> FloatArray:
-        """Return rotary positions; an undetermined axis stays, or aligns X of both frames."""
+        """Return rotary positions [rad]; a free axis stays, or with ``table`` aligns X."""
         mover, (along, _, normal) = self._mover, self._mover.frames.turn.T
         if not mover.rotary_letters:
             self.demand(
@@ -258,7 +258,7 @@ class TiltedPlane:
         self.stand_up('G53.6' if tip_stays else 'G53.1', 1 if direction > 0.0 else 2, words)
 
     def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
-        """Return the rotation, (3, 3); ``mode``: kind, then axes in two bits, the last first."""
+        """Return the rotation, (3, 3); ``mode``: kind, then two bits per axis, the last first."""
         kind, axes = mode >> 6, [(mode >> shift & 3) - 1 for shift in (0, 2, 4)]
         self.demand(
             kind != DIRECT,

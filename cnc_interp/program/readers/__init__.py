@@ -1,1 +1,1 @@
-"""Readers: G-code, Heidenhain plain text and CL data to words and targets."""
+"""Readers that convert G-code, Heidenhain plain text and CL data to words and targets."""

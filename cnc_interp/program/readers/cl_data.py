@@ -1,4 +1,4 @@
-"""CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors."""
+"""Convert CL data (APT cutter location files) to targets: GOTO points with tool axis vectors."""
 
 from __future__ import annotations
 
@@ -341,7 +341,7 @@ class ClReader:
         self._notice(said.major, text)
 
     def _enter_system(self, said: Statement) -> None:
-        """Enter a coordinate system by its numbers, or by a name without known location."""
+        """Enter a coordinate system given by numbers, or by a name whose location is unknown."""
         system = system_of(_numbers_of(said.minor))
         other = self._system != said.minor if system is None else moves(system)
         self._demand(not (self._system and other), cl_words.OFF_ONLY['ORIGIN'], said.major)
@@ -421,7 +421,7 @@ class ClReader:
         self._circle = circle
 
     def _along_arc(self, said: Statement) -> None:
-        """Process TLON,GOFWD/(CIRCLE/x,y,z,r),ON,..(LINE/..,end): an arc that INDIRV sets off."""
+        """Process TLON,GOFWD/(CIRCLE/x,y,z,r),ON,..(LINE/..,end), an arc that follows INDIRV."""
         arc = _ALONG_ARC.fullmatch(said.text)
         assert arc is not None  # others are refused
         numbers = [float(word) for word in arc.groups()]

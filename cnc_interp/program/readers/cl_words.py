@@ -213,7 +213,7 @@ IDENTITY = '1,0,0,0,0,1,0,0,0,0,1,0'  #: A system that moves nothing.
 
 
 def system_of(numbers: Sequence[float]) -> tuple[FloatArray, FloatArray] | None:
-    """Return axes as columns, shape (3, 3), and origin of a system; None if it is not one."""
+    """Return the axes, (3, 3) by columns, and origin of a system; None if it is not one."""
     rows = np.array(numbers)
     if len(rows) == 9:
         x, y = rows[3:6], rows[6:]

@@ -1,4 +1,4 @@
-"""G-code to words, line by line; ``plain_lines.py`` reads many plain lines at once."""
+"""Convert G-code to words line by line; ``plain_lines.py`` converts many plain lines at once."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class GcodeReader(ProgramReader):
         self.mover.notices.once(text, self.flow.line_number, text)
 
     def _with_points(self, line: str) -> str:
-        """Rewrite lengths and angles given in increments with a decimal point."""
+        """Rewrite lengths and angles in increments as numbers with a decimal point."""
         unit = _UNIT.search(line)
         inch = unit[0].endswith('0') if unit else self.mover.unit == INCH
         counts = self.at.cycle is not None or _CYCLE.search(line)  # K of a cycle

@@ -37,7 +37,7 @@ class HeidenhainFrames:
         self._waits, self.found = False, mover.rotary
 
     def shift(self, values: Mapping[str, float]) -> None:
-        """Process cycle 7; I before a letter is incremental, and zeros end the shift."""
+        """Process cycle 7; a value after I is added to the shift, and zeros end the shift."""
         if self._turn is not None and any(values.values()) and (self._turn != np.eye(3)).any():
             raise self._fault(
                 'a datum shift in a tilted plane; write PLANE RESET first', 'CYCL DEF 7'
@@ -57,7 +57,7 @@ class HeidenhainFrames:
         self._frame()
 
     def mirror(self, values: Mapping[str, float]) -> None:
-        """Process cycle 8: mirror these axes and no others."""
+        """Process cycle 8, which mirrors the axes in ``values`` and no others."""
         frames = self._mover.frames
         mirrors = {'XYZ'.index(letter): 0.0 for letter in values}
         self._set_scale('CYCL DEF 8', mirrors, frames.scale, frames.scale_centre)
@@ -206,7 +206,7 @@ class HeidenhainFrames:
         return bool(self._mover.tool_axis @ self._mover.frames.turn[:, 2] > 1.0 - 1e-9)
 
     def before(self, named: Set[str], machine: bool) -> None:
-        """Prepare for words; X Y Z in the plane require that the tool is upright on it."""
+        """Prepare for the words of a block; X Y Z in the plane require a tool upright on it."""
         mover = self._mover
         turns = machine or not named.isdisjoint(mover.rotary_letters)
         if turns and mover.tcp == ORIENTED:

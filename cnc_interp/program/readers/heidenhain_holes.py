@@ -21,7 +21,7 @@ _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
 
 
 class HeidenhainHoles:
-    """Holes by cycles, whose sizes are Q parameters; ``execute``: executes the words."""
+    """Makes holes by cycles with sizes in Q parameters; ``execute``: executes the words."""
 
     def __init__(self, at: Execution, execute: Callable[[BlockWords], None]):
         self.at, self.mover, self.variables, self.execute = at, at.mover, at.variables, execute
@@ -41,7 +41,7 @@ class HeidenhainHoles:
                 self.variables.set_name(name, formula(found[1], self.variables))
 
     def drill(self) -> None:
-        """Make a hole here, by the cycle that is defined."""
+        """Make a hole at the current position with the defined cycle."""
         mover, unit, axis = self.mover, self.mover.unit, PLANES[self.mover.plane][2]
         self.demand(self.cycle, 'no cycle is defined; write CYCL DEF', 'CYCL CALL')
         if mover.frames.factor[axis] < 0.0 or self.cycle in (204, 208):

@@ -1,4 +1,4 @@
-"""Many plain lines to motion targets at once, with the same result as ``block_motion.py``."""
+"""Convert many plain lines to targets at once, with the same result as ``block_motion.py``."""
 
 from math import inf, nan, pi
 

@@ -1,7 +1,7 @@
-"""A table of poses, or a recorded nav_msgs/Path, to motion targets.
+"""Convert a table of poses, or a recorded nav_msgs/Path, to motion targets.
 
-A pose is that of the TCP of an arm in the part: its Z points out of the tool into the part, and
-its X is the side of the tool. So the pose also gives the spin, the turn of the tool about its
+A pose is the frame of an arm's TCP in the part: its Z points from the tool into the part, and
+its X to the side of the tool. So the pose also gives the spin, the turn of the tool about its
 axis.
 """
 
@@ -111,7 +111,7 @@ class PoseReader(ClReader):
         self._go(*place.tolist())
 
     def _spin_of(self, axis: FloatArray, side: FloatArray, near: float) -> float:
-        """Return the angle [rad] from part X, carried from part Z by the least turn, to X."""
+        """Return the spin [rad] of a tool with this axis and side, nearest to ``near``."""
         i, j, k = axis
         self._demand(1.0 + k > _DOWN, 'the tool points along -Z of the part; turn the part frame')
         zero = np.array([1.0 - i * i / (1.0 + k), -i * j / (1.0 + k), -i])

@@ -34,7 +34,7 @@ class ProgramReader(ABC):
 
     @abstractmethod
     def read_lines(self, first: int, end: int) -> None:
-        """Execute plain lines, by their rows in the window of text, up to a jump."""
+        """Execute plain lines, rows ``first`` to ``end`` of the text window, up to a jump."""
 
     def execute(self, words: BlockWords) -> None:
         execute(self.at, words)

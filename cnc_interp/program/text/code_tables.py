@@ -10,7 +10,7 @@ TCP_OFF = {'M429', 'M129', 'G49', 'TRAFOOF', '#TRAFO OFF'}
 # Tool-tip modes that are a kind of tool length; a plain tool length (G43) ends them.
 TCP_BY_LENGTH = {'G43.4', 'G43.5', 'G234'}
 LENGTH = {'G43', 'G44', 'G43.1', 'G49'}
-#: Codes whose H is a tool length.
+#: Codes with which H selects a tool length.
 LENGTH_CODES = LENGTH | TCP_BY_LENGTH
 TCP_ON_WORDS = 'M428, M128, G43.4, G43.5, G234, TRAORI or #TRAFO ON'
 
@@ -21,7 +21,7 @@ RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
 CYCLES = {'G73', 'G74', 'G76', 'G84.2', 'G84.3', *(f'G{number}' for number in range(81, 90))}
 
-#: Notice of a spindle start without an output, because the tool moves nevertheless.
+#: Notice of a spindle start without an output for it; the tool moves nevertheless.
 NO_SPINDLE = (
     f'{WARNING}the spindle is NOT started, the machine file has no output for it; write '
     'signals: milling there, or start the spindle by hand before the tool cuts'
@@ -38,7 +38,7 @@ NO_LENGTHS = (
     f'{WARNING}no tool lengths are known (--setup), they are taken as zero; a machine rejects '
     'this program until its tools are in the table'
 )
-#: Variables of places to which the subprogram of M6 may go; they must be set.
+#: Variables of positions that the subprogram of M6 may use; the setup must define these.
 PLACES_OF_MACRO = {'#518': 'G30', '#538': 'G59.3'}
 NO_PLACE = 'the subprogram of M6 goes to {}, which is not set; enter it in the setup (--setup)'
 #: Notices of M codes on a machine without an output for them.
@@ -47,7 +47,7 @@ NO_NUMBER = (
     f'{WARNING}NOT executed, the machine file has no signal for {{}}; declare it under signals, '
     'as digital_out_0, analog_out_0, digital_in_0'
 )
-#: Requirements that M62 to M68, and M66, may lack.
+#: Advice if a word of M62 to M68, or of M66, is missing.
 NO_SUCH_NUMBER = (
     'give the number of the output as P, with M67 and M68 as E',
     'give the number of the input as P, and what to wait for as L3 (on) or L4 (off)',
@@ -70,7 +70,7 @@ OTHER_MEANING: dict[str, tuple[str, str]] = {
     'G255': ('H', 'is not supported with H; write G255 alone'),
     'G40.1': (_AXES, 'write G40.1 in a block of its own'),
 }
-#: Work offsets with H: a tool length on Okuma, two words without relation elsewhere.
+#: Work offsets with H: on Okuma H is a tool length, elsewhere the two words are unrelated.
 OKUMA_LENGTH = 'with H it is a tool length of Okuma; write G43 H, or H in another block'
 #: Treatment of G10 words that controls interpret differently.
 G10_CONFLICTS = {

@@ -24,7 +24,7 @@ class Dialect:
     starts_with: int | None = None  #: Motion code after a reset (0 to 3), or None.
     #: Whether the line of G41 or G42 ends beside its own end, not beside the start of the next.
     own_entry: bool = False
-    #: Whether an incremental word after a new frame also runs through its shift (SD42440).
+    #: Whether an incremental word after a new frame also includes its shift (SD42440).
     runs_shifts: bool = False
     feeds_first: bool = False  #: Whether F has the unit in effect before G20 or G21 of its block.
     turns_in_cycles: bool = True  #: Whether rotary words are allowed in a canned cycle.
@@ -99,7 +99,7 @@ _COMMENT = re.compile(
     re.I,
 )
 
-#: Lines with only words that all controls share; a mark replaces each, so that lines keep numbers.
+#: Lines with only words that all controls share; a mark replaces each to keep line numbers.
 _COMMON = re.compile(
     r'^[ \t]*(?:(?:G\d\d?(?![\d.])|[A-FH-NR-Z][ \t]*[-+]?[\d.]+)[ \t\r]*)+$', re.M
 )
@@ -148,7 +148,7 @@ def as_on(geometry: Transform, settings: Settings) -> Settings:
 
 
 def dialect_of(source: Source, chosen: str) -> tuple[Dialect, str]:
-    """Return the profile of a text of G-code, and why: by choice, its words, or its suffix."""
+    """Return the dialect of a G-code text, and the reason: the choice, its words or suffix."""
     if chosen != 'auto':
         return PROFILES[chosen], 'as chosen'
     text = _COMMON.sub('-', _COMMENT.sub(' ', _head(source)))

@@ -18,7 +18,7 @@ _HEAD = rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?'
 
 @dataclass(frozen=True)
 class Structure:
-    """The words of a structure in a dialect, with patterns of the text around them."""
+    """The words of a control structure in a dialect, with patterns of the text around them."""
 
     label: str = ''  #: Identifier, as the number of an O word; empty if structures nest.
     before: str = ''
@@ -199,7 +199,7 @@ class Cursor:
         self.go(begin)
 
     def call_macro(self, text: str, name: str, rest: Any, state: Any) -> None:
-        """Call a subprogram in a line, whose other words are its ``rest``; restore the state."""
+        """Call a macro within a line with the other words ``rest``; its end restores ``state``."""
         source = Source.of_text(text, name)
         begin = source.find(re.compile(_HEAD + rb'O\s*(?:\d+|<[^<>]+>)\s*SUB'), source.start)
         self.variables.enter({}, vacant=False)

@@ -90,7 +90,7 @@ Q_FUNCTION: /[A-Z]+/
 """
 _TOO_DEEP = 'the expression is nested too deeply; use parameters'
 
-#: Siemens names for axis positions, with their first number; and for the answer of a probe.
+#: Siemens names of axis positions, with their first variable number; and of the probe answer.
 _PLACES = {'$AA_IW': 5041, '$P_EP': 5041, '$AA_IM': 5021, '$AA_MW': 5061}
 _ANSWERED = {'$AC_MEA[1]': 5070}
 _AXIS = re.compile(r'(\$\w+\s*\[\s*)([A-Z])(?=\s*\])')
@@ -186,7 +186,7 @@ def _value(node: Node, variables: ProgramVariables) -> float:
 
 
 def _chain(node: Node, variables: ProgramVariables) -> float:
-    """Evaluate operands and operators without brackets; every reading must give one value."""
+    """Evaluate operands and operators without brackets; all readings must give the same value."""
     trees = {_tree(node, reading) for reading in variables.readings}
     values = {_value(tree, variables) for tree in trees}
     if len(values) > 1:
@@ -200,7 +200,7 @@ def _chain(node: Node, variables: ProgramVariables) -> float:
 
 @lru_cache(maxsize=4096)
 def _tree(node: Node, reading: Reading) -> Node:
-    """Bracket a chain by the ranks of its operators, from left to right where they are equal."""
+    """Return a chain as a tree by the ranks of its operators; equal ranks from left to right."""
     operands, waiting = [node[1]], list[str]()
 
     def close(rank: int) -> None:
@@ -313,7 +313,7 @@ class Reading:
     """The rules of a control for operators without brackets."""
 
     ranks: tuple[str, ...]  #: Operators of each rank; those that bind first come first.
-    changed: tuple[tuple[str, str], ...] = ()  #: Operators with the meaning of another name.
+    changed: tuple[tuple[str, str], ...] = ()  #: Operators, and those that they mean.
 
     def rank(self, operator: str) -> int:
         return next(k for k, rank in enumerate(self.ranks) if operator in rank.split())
@@ -336,7 +336,7 @@ _FANUC_MEANS = (('MOD', 'MOD of Fanuc'), *((x, f'{x} of bits') for x in ('AND', 
 READ_BY_FANUC = Reading(
     ('**', '* / MOD DIV AND B_AND', '+ - OR XOR B_OR B_XOR', _COMPARED), _FANUC_MEANS
 )
-#: Siemens documents comparisons as the last rank; shops write them as in other languages.
+#: Siemens documents comparisons as the last rank; programs use them as in other languages.
 READ_BY_SIEMENS = Reading(
     ('**', '* / MOD DIV', '+ -', 'B_AND', 'B_XOR', 'B_OR', 'AND', 'XOR', 'OR', _COMPARED)
 )
@@ -464,7 +464,7 @@ class ProgramVariables:
         return self._locals[-1][0] if local else self._numbers
 
     def number(self, index: int) -> float:
-        """Return ``#index``; local variables of an O- SUB are 0 until they are set."""
+        """Return variable ``#index``; local variables of an O- SUB are 0 until they are set."""
         found = self._with(index)
         if index in found:
             return found[index]

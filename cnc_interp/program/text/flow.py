@@ -1,6 +1,6 @@
-"""Statements of all dialects that change the order of lines, and subprograms.
+"""Subprograms, and the statements of all dialects that change the order of lines.
 
-All structures are executed in the same way: a loop returns to its head, which may begin a round.
+All structures are executed in the same way: a loop returns to its head and may begin a new round.
 """
 
 import re
@@ -28,7 +28,7 @@ _INNER_SUB = re.compile(rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?O\s*(?:\d+|<[^<>]+>)\s*SU
 G65_ARGUMENTS = dict(
     zip('ABCIJKDEFHMQRSTUVWXYZ', (*range(1, 10), 11, 13, *range(17, 27)), strict=True)
 )
-#: Form of the words of structures of Siemens, and of IF, which may be one line.
+#: Form of the structure words of Siemens, and of IF, which may fit on one line.
 _NESTED = Structure(before=r'(?:[A-Z_][A-Z_]\w*\s*:(?!=)\s*)?', after=r'(?!\w|[ \t]*[=:\[])')
 _NESTED_IF = replace(_NESTED, head=r'IF(?![^;\n]*(?<!\w)(?:GOTO|THEN))')
 _KEYWORD = re.compile(
@@ -64,7 +64,7 @@ _NUMBER = r'[ \t/]*(?:N\s*\d+\s*)?'
 _FOR = re.compile(r'(\w+)\s*=(.*?)(?<!\w)TO(?!\w)(.*)')
 _BRANCH_WORD = re.compile(r'(ELSEIF|ELSE|ENDIF)(?![A-Z_])\s*([^;(]*)')
 
-#: A subprogram by number: the number, rounds, and the arguments of G65.
+#: A subprogram call: number, repetitions, and the arguments of G65 (None for M98).
 Call = tuple[int, int, dict[int, float] | None]
 
 
@@ -271,7 +271,7 @@ class Flow(Cursor):
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
 
     def _arguments_of(self, words: BlockWords) -> dict[int, float]:
-        """Read the arguments of G65; repeated I J K become #7 #8 #9, and so on."""
+        """Return the arguments of G65 by variable; repeated I J K become #7 #8 #9, and so on."""
         given = [letter for letter in words.values if letter in G65_ARGUMENTS]
         found = {G65_ARGUMENTS[letter]: words.values.pop(letter) for letter in given}
         later, before = 0, ''

@@ -1,4 +1,4 @@
-"""Text of a part program, read in windows with small memory; and the files of programs."""
+"""Text of a part program, read in windows to save memory; and the files of programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cnc_interp.program.text import scan
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
 _LONGEST_LINE = 1 << 16
-#: Characters that text does not contain, except for a few from tapes in some programs.
+#: Characters that text does not contain; a few in old tapes are accepted.
 _CONTROL = bytes({*range(32)} - {*b'\t\n\v\f\r\x1a'})
 _BYTE_ORDER_MARK = b'\xef\xbb\xbf'
 
@@ -160,7 +160,7 @@ def _scanned(place: LineStart, text: bytes) -> LineWindow:
     )
 
 
-#: Number of lines in which the beginning of a program is searched.
+#: Number of lines in which the first program line is searched for.
 _HEAD_LINES = 200
 _WORD = re.compile(r'\s*(?:/\s*)?(?:[GMXYZNTSF]\s*[-+.\d#\[=]|[:O]\s*\d|[(;]|$)', re.IGNORECASE)
 _NAME = re.compile(
@@ -207,7 +207,7 @@ PROGRAM_SUFFIXES = CL_SUFFIXES | {'.ngc', '.nc', '.tap', '.mpf', '.cnc', '.gcode
 #: Names of subprograms: ``o<name>``, or a number after O or P.
 _CALLED = re.compile(rb'[Oo]\s*<\s*([\w-]+)\s*>')
 _NUMBER = re.compile(rb'[OoPp]\s*(\d{1,9})(?!\d)')
-#: A number that is computed.
+#: A subprogram number that is computed.
 _COMPUTED = re.compile(rb'[OoPp]\s*[#\[]')
 
 
@@ -228,7 +228,7 @@ def subprogram_file(folder: Path, stem: str) -> Path | None:
 def called_files(
     path: Path, text: bytes, folders: Sequence[str] | None = None
 ) -> dict[str, bytes]:
-    """Return the files that a program may call, by name; raises as ``open_named``."""
+    """Return the files that a program may call: text by name; raises as ``open_named``."""
     found: dict[str, bytes] = {}
     waiting = [text]
     while waiting:

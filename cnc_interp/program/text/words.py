@@ -74,7 +74,7 @@ class BlockWords:
         self.values[letter], self.texts[letter] = value, text or f'{letter}{value:g}'
 
     def take(self, letters: Iterable[str]) -> dict[int, float]:
-        """Remove words from the block; return their numbers in the order of their letters."""
+        """Remove the words with these letters; return their values by index in ``letters``."""
         found = enumerate(letters)
         return {i: self.values.pop(letter) for i, letter in found if letter in self.values}
 

@@ -1,7 +1,7 @@
 """cnc_interp: a 5-axis CNC interpolator whose every emitted setpoint is proven.
 
-The names below are the library: in SI units, without ROS, files or state. Each is loaded when it
-is first asked for, so that no command waits for it.
+The names below are the Python library. It works in SI units, without ROS, files or state. Each
+name is loaded at its first use, so that commands start without delay.
 """
 
 from importlib import import_module
@@ -50,7 +50,7 @@ __all__ = [
     'simulate',
     'smooth_path',
 ]
-#: Modules that hold them.
+#: Modules that define these names.
 _HOMES = {
     'cam.cutter': 'Cutter',
     'cam.iso_scallop': 'IsoScallopOptions iso_scallop_paths',

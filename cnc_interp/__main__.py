@@ -13,11 +13,11 @@ from typing import Any
 from cnc_interp.processes.one_thread import use_one_thread
 from cnc_interp.processes.stop_signals import STOPS
 
-AGAIN = 0.01  #: Interval at which a lost interrupt is tried again [s].
+AGAIN = 0.01  #: Interval at which a lost interrupt is raised again [s].
 
 
 def main() -> int:
-    """Load the commands, which takes a second, and run one; Ctrl-C and SIGTERM end both."""
+    """Load the commands and run one of them; Ctrl-C and SIGTERM may end either step."""
     use_one_thread()
     usual = (signal.default_int_handler, signal.SIG_DFL)
     heeded = [number for number in STOPS if signal.getsignal(number) in usual]
@@ -33,20 +33,20 @@ def main() -> int:
 
 
 def run_node() -> int:
-    """Run the node that has the name of the command, as `ros2 run` does."""
+    """Run the node with the name of the running executable, as `ros2 run` does."""
     use_one_thread()
     node = import_module(f'{__package__}.nodes.{Path(sys.argv[0]).stem}')
     return int(node.main() or 0)
 
 
 def leave(_number: int, _frame: FrameType | None) -> None:
-    """End at once; an exception could be swallowed or printed by libraries while they load."""
+    """End the process at once; a library that loads could swallow or print an exception."""
     os.write(2, b'cnc-interp: interrupted\n')
     os._exit(130)
 
 
 def interrupt_again(lost: Any) -> None:
-    """Raise a lost interrupt again: Python drops exceptions that are raised in a finaliser."""
+    """Send a lost interrupt again, because Python drops exceptions raised in a finaliser."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
         threading.Thread(target=_send_later, daemon=True).start()
     else:
@@ -54,7 +54,7 @@ def interrupt_again(lost: Any) -> None:
 
 
 def _send_later() -> None:
-    """Send the signal after the main thread has left ``interrupt_again``, which would drop it."""
+    """Send SIGTERM once the main thread has left ``interrupt_again``, where it would be lost."""
     inside = True
     while inside:
         time.sleep(AGAIN)

@@ -1,8 +1,8 @@
 """Where compiled kernels are cached, and when they are compiled again.
 
 Machine code includes the functions that a kernel calls and the constants that it reads, but numba
-only compares the file of the kernel. Here a kernel is current while its own file, and all files of
-this package that it imports directly or indirectly, are unchanged.
+only compares the file of the kernel. Here a kernel is valid until its own file changes, or a file
+of this package that it imports, directly or indirectly.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent
-#: Folder of kernels in a wheel, processors that they fit, and required features (numba's names).
+#: Folder of compiled kernels in a wheel, and the processor and its features that they need.
 BROUGHT, PROCESSOR = PACKAGE / 'compiled', 'x86-64-v3'
 FEATURES = {'+avx2', '+bmi', '+bmi2', '+f16c', '+fma', '+lzcnt', '+movbe'}
-FOLDER = 'NUMBA_CACHE_DIR'  #: Variable with which a user chooses another folder.
+FOLDER = 'NUMBA_CACHE_DIR'  #: Environment variable that selects another cache folder.
 IMPORT = re.compile(
     rf'^\s*(?:from|import) {PACKAGE.name}\.([\w.]+)(?: import (\([^)]*\)|[\w, ]+))?', re.M
 )
@@ -57,7 +57,7 @@ def _stamp(file: Path) -> str:
 
 
 def folder() -> Path:
-    """Return the folder of compiled kernels: beside the sources if possible, else the user's."""
+    """Return the cache folder of kernels: beside the sources if writable, else the user's."""
     if FOLDER in os.environ:
         return Path(os.environ[FOLDER])
     if os.access(PACKAGE, os.W_OK):
@@ -67,14 +67,14 @@ def folder() -> Path:
 
 
 def brought(place: Path, features: Iterable[str]) -> Path | None:
-    """Return the folder in a wheel that replaces a cache folder, if its kernels can run here."""
+    """Return the wheel's folder for a cache folder; None if its kernels cannot run here."""
     if not place.is_relative_to(folder()) or not FEATURES.issubset(features):
         return None
     return BROUGHT / place.relative_to(folder())
 
 
 class KernelLocator:
-    """Tells numba where the code of a kernel is cached, and whether it is current."""
+    """Tells numba where the code of a kernel is cached, and whether it is still valid."""
 
     def __init__(self, file: Path):
         self._py_file = file  # numba names it in warnings

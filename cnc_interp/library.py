@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 #: Colours of axes in figures.
 COLOURS = '#2a6fb0', '#c8553d', '#3f8f5b', '#8b5fb0', '#b8902b', '#5b6b78'
-LONGEST_NAME = 256  #: A longer text is no path [characters].
-DEGREE = 5  #: Degree at which q_ss and q_sss are continuous, as jerk limits require.
+LONGEST_NAME = 256  #: A longer text is not read as a path [characters].
+DEGREE = 5  #: Spline degree: q_ss and q_sss are continuous, as jerk limits require.
 
 
 def axis_path_from(
@@ -41,8 +41,8 @@ def axis_path_from(
 ) -> AxisPath:
     """Return the smooth path from rest to rest through axis positions, by quintic splines.
 
-    The error of the path is of sixth order in the distance of the points. At corners it
-    overshoots.
+    The error of the path is of sixth order in the distance of the points. The path overshoots at
+    corners.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Plan:
     #: ``time`` (K,) [s]; ``position``, ``velocity``, ``acceleration``, ``jerk`` (K, n_axes) [m or
     #: rad, per s, ...]; ``block``, ``line`` (K,), ``s`` (K,) [m].
     setpoints: Setpoints
-    planning_time: dict[str, float]  #: Seconds of each stage.
+    planning_time: dict[str, float]  #: Computing time of each stage [s].
 
     def __repr__(self) -> str:
         """Return a summary with the program, the machine and the cycle time."""
@@ -157,7 +157,7 @@ class Plan:
 
 
 def _names_a_file(text: str) -> bool:
-    """Return whether a text is a file name: of an existing file, or with a suffix of letters."""
+    """Return whether a text is a file name: a file exists, or the suffix consists of letters."""
     short = '\n' not in text and len(text) < LONGEST_NAME
     return short and (Path(text).is_file() or Path(text).suffix[1:].isalpha())
 
@@ -174,14 +174,14 @@ def plan(
     machine : str, Path or Machine
         Name of a bundled machine, or the path of a machine file.
     **settings
-        Fields of ``Settings`` [SI], as ``contour_tolerance=1e-5``.
+        Fields of ``Settings`` [SI], such as ``contour_tolerance=1e-5``.
 
     Raises
     ------
     InterpError
-        The program cannot be read, nothing moves, or the machine cannot follow.
+        The program cannot be read, nothing moves, or the machine cannot follow the path.
     TypeError
-        An argument is of another type, or no field of ``Settings``.
+        An argument has a wrong type, or is not a field of ``Settings``.
 
     """
     if isinstance(machine, str | Path):
@@ -218,7 +218,7 @@ def plan_program(program: Program, machine: Machine, settings: Settings | None =
     Raises
     ------
     InterpError
-        Nothing moves, or the machine cannot follow; the message names the line.
+        Nothing moves, or the machine cannot follow the path; the message names the line.
 
     """
     settings, kept = settings or Settings(), Kept()
@@ -250,7 +250,7 @@ def smooth_path(blocks: Blocks, geometry: Transform, settings: Settings | None =
     Parameters
     ----------
     blocks : Blocks
-        Of a program, or ``Blocks.of_poses(tip, axis, feedrate)``.
+        The blocks of a program, or ``Blocks.of_poses(tip, axis, feedrate)``.
     settings : Settings, optional
         ``Settings(compress=False)`` rounds every corner and makes no curves of dense blocks.
 

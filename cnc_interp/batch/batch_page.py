@@ -1,4 +1,4 @@
-"""The table of a batch, as CSV, and on a page that sorts it."""
+"""The table of a batch as a CSV file, and on a page where it can be sorted."""
 
 import csv
 import io

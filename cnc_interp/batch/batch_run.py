@@ -1,4 +1,4 @@
-"""Run a batch; results of an earlier start are not computed again."""
+"""Run a batch; results of an earlier start of it are reused."""
 
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +16,7 @@ from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 
 R = TypeVar('R')
 
-#: Verdicts that may change in another attempt.
+#: Verdicts that may differ if the task is repeated.
 UNCERTAIN = (Verdict.KILLED, Verdict.TOO_LONG, Verdict.TOO_LARGE)
 
 
@@ -62,7 +62,7 @@ class Progress:
     done: int
     known: int
     total: int
-    share: float  #: Finished share of the program text that has to be planned [-].
+    share: float  #: Finished share of the program text to be planned in this start [-].
 
 
 def run_batch(

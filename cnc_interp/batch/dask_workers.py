@@ -20,7 +20,7 @@ from cnc_interp.core import InterpError
 
 PATIENCE = 10  #: Time for the scheduler to answer [s].
 MOST_LOST_WORKERS = 20  #: A task is given up after it has lost this many workers.
-AHEAD = 2  #: Number of tasks assigned ahead, for each thread of the workers.
+AHEAD = 2  #: Number of tasks that each thread of a worker is assigned in advance.
 
 A = TypeVar('A')
 R = TypeVar('R')
@@ -96,7 +96,7 @@ def _end_of(future: Future, number: int) -> processes.EndedCall[Any]:
 def call_there(
     function: Callable[[A], R], task: A, version: str, memory: float | None, longest: float
 ) -> processes.EndedCall[R]:
-    """Call a function in a new process on a worker, with the number of processes it may use."""
+    """Call a function in a new process on a worker; it may use all threads of the worker."""
     if engine() != version:
         raise InterpError(
             f'the worker {get_worker().address} has another version of cnc_interp; install '
@@ -150,7 +150,7 @@ def join(address: str, workers: int, say: Callable[[str], None]) -> None:
 
 
 def _live(life: Coroutine[Any, Any, None]) -> None:
-    """Run a part of a cluster, without messages of Dask when another part is lost."""
+    """Run a scheduler or a worker, and suppress Dask's messages about the loss of another."""
     _keep_quiet()
     asyncio.run(life)
 
@@ -161,7 +161,7 @@ def _keep_quiet() -> None:
 
 
 async def _until_interrupted(part: Any) -> bool:
-    """Wait until a part of a cluster ends or a signal ends this process; return which."""
+    """Wait for the end of a scheduler or worker, or a signal; return True after a signal."""
     told = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, told.set)

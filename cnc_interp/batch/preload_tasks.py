@@ -1,4 +1,4 @@
-"""Imports of every task, loaded once by the process from which workers are forked."""
+"""Modules that every task needs, imported once by the process that forks the workers."""
 
 import gc
 

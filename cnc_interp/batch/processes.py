@@ -1,4 +1,4 @@
-"""Calls in separate processes, forked from a warm fork server, so that each crashes alone."""
+"""Run calls in separate processes, forked from one server; a crash ends only its own call."""
 
 import contextlib
 import multiprocessing
@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 from cnc_interp.core import InterpError
 from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
 
-#: Modules that the fork server loads for programs, and for tiles of needles.
+#: Modules that the fork server imports for the planning of programs, and for tiles of needles.
 PRELOADED = ('cnc_interp.batch.preload_tasks',)
 TILES_PRELOADED = ('cnc_interp.cam.preload_tiles',)
 PROCESS_NAME = 'cnc_batch'  #: Name of a working process in ``ps`` and ``top``.
@@ -41,7 +41,7 @@ class Loss(Enum):
 class EndedCall(Generic[R]):
     number: int  #: Number of the call, from 0.
     result: R | Loss  #: Return value, or the kind of loss.
-    kills: int = 0  #: Number of kills after which it was restarted.
+    kills: int = 0  #: How often the call was killed and restarted.
     why: str = ''  #: How its process ended, if there is no result.
 
 
@@ -146,7 +146,7 @@ class Processes:
 
     @staticmethod
     def _heard(running: dict[Connection, _Running[A]]) -> list[Connection]:
-        """Wait; return the connections of processes that have ended or exceeded their time."""
+        """Wait until processes have ended or exceeded their time; return their connections."""
         deadline = min(one.deadline for one in running.values())
         heard = wait(list(running), min(max(0.0, deadline - time.monotonic()), LOOK))
         now = time.monotonic()

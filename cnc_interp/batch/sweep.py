@@ -1,4 +1,4 @@
-"""A sweep: a command is run with many option values, as a grid or a search; table and page."""
+"""Run a command with many option values, as a grid or a search; write a table and a page."""
 
 import hashlib
 import io
@@ -27,10 +27,10 @@ from cnc_interp.report import html
 from cnc_interp.report.series import AT_LIMIT, at_limits, axis_use
 from cnc_interp.run.plan_figures import collision_text
 
-#: Points of a generation of the search, for each option; decimals of option values.
+#: Points per option in a generation of the search; significant digits of option values.
 GENERATION, DIGITS = 5, 4
 SAME = 1e-9  #: Lengths that differ less are the same [m].
-#: Motions of a simulated surface in its summary; the first available one is used.
+#: Motions whose simulated surface is evaluated: the first one that the summary contains.
 SIMULATED = ('executed', 'planned')
 SWEPT = (('plan',), ('cam', 'iso-scallop'))  #: Commands that can be swept.
 
@@ -123,9 +123,9 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
 class Sweep:
     """Runs each point once, and stores its result.
 
-    ``words``: the swept command, without ``--out``; ``progress``: called with the number of
-    finished points and of those known from an earlier start. Raises InterpError if the command
-    cannot be swept.
+    ``words``: the swept command, without ``--out``; ``progress``: receives the number of finished
+    points, and of points known from an earlier start. Raises InterpError if the command cannot be
+    swept.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Sweep:
         self.run([(), *(tuple(zip(names, values, strict=True)) for values in all_values)])
 
     def search(self, ranges: Sequence[Range], most: int) -> None:
-        """Run the command unchanged, then search for the fastest motion with few points."""
+        """Run the command unchanged, then search for the fastest motion in ``most`` points."""
         names = [one.option for one in ranges]
         bounds = [(float(one.values[0]), float(one.values[-1])) for one in ranges]
         self.run([()])
@@ -250,7 +250,7 @@ def front(found: dict[Point, Found]) -> list[Point]:
     return list(best)
 
 
-#: Number of limits named, of those that hold the motion for most of the time.
+#: Number of limits that are named: those that restrict the motion for the longest time.
 NAMED = 3
 LOCAL_STYLE = 'td, th { text-align: left; } code { font-size: 12px; }'
 

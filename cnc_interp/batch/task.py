@@ -40,8 +40,8 @@ class Model:
 class Task:
     """The complete input of a worker, which opens no files of the user."""
 
-    program: str  #: Name of the program in the table: its path from the folder of the batch.
-    #: Names and contents of the program, then of the subprograms that it may call.
+    program: str  #: Name of the program in the table: its path relative to the batch folder.
+    #: File name and content of the program, then of each subprogram that it may call.
     files: tuple[tuple[str, bytes], ...]
     model: Model  #: The machine.
     #: Every setting except ``setup`` as text, in the form of ``settings.options``.
@@ -70,13 +70,13 @@ class Task:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table, which depends only on the task; figures are None without a plan."""
+    """A row of the table; it depends only on the task. Figures are None without a plan."""
 
     verdict: Verdict  #: Verdict about the program.
     message: str = ''  #: Why the plan is not proven, else ''.
     blocks: int | None = None
     setpoints: int | None = None
-    path_length: float | None = None  #: Way of the tool tip [m].
+    path_length: float | None = None  #: Path length of the tool tip [m].
     #: Time of the motion, and the least time that velocities and accelerations allow [s].
     cycle_time: float | None = None
     time_bound: float | None = None
@@ -89,10 +89,10 @@ class Row:
     #: Largest use of the tolerances, as proven [-].
     contour_used: float | None = None
     orientation_used: float | None = None
-    #: Times by tool, as `estimate --json` has them, without the operations.
+    #: Times of each tool as in `estimate --json`, without the operations.
     tools: tuple[dict[str, Any], ...] = ()
     notices: tuple[str, ...] = ()  #: Notices of the reader and the planner.
-    plan_hash: str = ''  #: Hash of the plan files without their summary.
+    plan_hash: str = ''  #: Hash of the plan files except the summary.
 
     @property
     def run_time(self) -> float:
@@ -162,7 +162,7 @@ class Jobs:
         plans: Path | None = None,
         folders: Sequence[str] | None = None,
     ):
-        self._folders = folders  #: Allowed folders, as for ``open_named``.
+        self._folders = folders  #: Folders from which files may be read, see ``open_named``.
         self._settings, self._setup = settings_of(settings)
         self._plans, self._scene = plans.resolve() if plans else None, _scene_hash(settings)
         models = [_model(name) for name in dict.fromkeys(machines)]

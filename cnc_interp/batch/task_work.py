@@ -1,4 +1,4 @@
-"""The work of one task: the program is read, planned and proven."""
+"""Carry out one task: read, plan and prove a program."""
 
 import hashlib
 import os
@@ -31,7 +31,7 @@ from cnc_interp.settings.options import Settings, with_texts
 
 #: A line, a corner and an exact stop, planned once to load what every task needs.
 TINY = b'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nY4\nM30\n'
-#: Figures of the summary that are also in a row.
+#: Figures that a row takes from the summary of the plan.
 SAME = ('blocks', 'path_length', 'cycle_time', 'time_bound', 'standstill')
 #: Plan files that are part of the hash of a plan.
 PLAN = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
@@ -111,7 +111,7 @@ def _hash(files: Iterable[Path]) -> str:
 
 @cache
 def machine_of(model: Model) -> Machine:
-    """Return the machine of a text that ``Machine.load`` has already accepted."""
+    """Return the machine of a model; ``Machine.load`` has already accepted its text."""
     return replace(from_mapping(parse_yaml(model.text)), file=model.file)
 
 

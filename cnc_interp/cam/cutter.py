@@ -60,7 +60,7 @@ class Cutter:
         return float((self.tool_radius + self.corner_radius * sine) / sine)
 
     def tilt_of_curvature(self, curvature: FloatArray, limits: tuple[float, float]) -> FloatArray:
-        """Return the tilts for which the swept profile has a curvature [1/m]."""
+        """Return the tilts at which the swept profile has the given curvature [1/m]."""
         sine = (
             curvature * self.tool_radius / np.maximum(1.0 - curvature * self.corner_radius, 1e-6)
         )
@@ -124,7 +124,7 @@ class Postures:
         return np.asarray(self.frames.feed.reshape(shape) + cross(turn, away))
 
     def rim(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return directions from C_L in the plane of the corner circle."""
+        """Return unit vectors from C_L to points of the corner circle, and their derivatives."""
         e_f, e_t = self.front, self.turned[1]
         c, s = np.cos(angle), np.sin(angle)
         return scaled(c, e_f) + scaled(s, e_t), scaled(c, e_t) - scaled(s, e_f)

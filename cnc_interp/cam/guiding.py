@@ -16,14 +16,14 @@ from scipy.ndimage import label
 from cnc_interp.cam.surface import Surface, SurfaceError, demand
 from cnc_interp.core import MM, FloatArray, cross, dot, norm, scaled
 
-CELLS = 200  #: Number of cells per direction in which a curve is searched.
+CELLS = 200  #: Cells per direction of the grid in which curves are searched.
 STEP = 0.4 * MM  #: Largest distance of the points of a curve [m].
 STEEP = 0.05  #: Smallest sine of the angle between a guiding plane and the surface [-].
 
 
 @dataclass(frozen=True)
 class CurveFrames:
-    """The guided point K at n places of a curve and its frame, with derivatives by arc length."""
+    """The guided point K and its frame at n points of a curve, with derivatives by arc length."""
 
     position: FloatArray  #: (n, 3): K on the guiding surface [m].
     #: (n, 3): Orthonormal frame n, f, t = f x n [-].
@@ -109,7 +109,7 @@ class GuidingPlanes:
         self.span = float(level.min()), float(level.max())
 
     def curve(self, plane: float) -> GuidingCurve:
-        """Return the curve in the plane at a distance along N [m]; SurfaceError if none."""
+        """Return the curve in a plane at this distance along N [m]; SurfaceError if none."""
         surface = self.surface
         generator = contour_generator(self._u, self._v, self._level)
         lines, lengths = [], []
@@ -135,7 +135,7 @@ class GuidingPlanes:
         return float(norm(np.diff(position, axis=0)).sum())
 
     def _fit(self, line: FloatArray, plane: float) -> GuidingCurve:
-        """Fit a quintic through points that lie exactly on the curve, evenly by arc length."""
+        """Fit a quintic spline through exact points of the curve, evenly spaced by arc length."""
         count = max(48, int(self._length(line) / STEP))
         uv = self._onto(line, plane)
         for degree in (1, 5):  # first along the points of the contour, then along the smooth curve

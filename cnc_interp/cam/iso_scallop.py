@@ -1,4 +1,4 @@
-"""5-axis iso-scallop passes along parallel planes [TL2008]: their options, and all passes.
+"""5-axis iso-scallop passes along parallel planes [TL2008], and the options for them.
 
 Neighbouring strips share a border, so an error of a half width passes undiminished to the next
 strip. The recursion starts with a constant half width. The recursion restarts, with a small
@@ -45,16 +45,16 @@ from cnc_interp.core import (
     refuse_if,
 )
 
-CLOSER = 0.985  #: Distance of a restarted pass, as a share of its half width [-].
+CLOSER = 0.985  #: Factor on the plane distance of a restarted pass, for the overlap [-].
 #: Default distance of the points along a pass [m]; there are at least 25.
 SPACING = 0.8 * MM
 MOST_PASSES = 5000
-#: Number of times that a plane may be moved closer, and its least distance over the first one.
+#: How often a plane may be moved closer; its least distance over the original distance [-].
 CLOSER_PLANES, CLOSEST = 12, 0.7
-#: Share of the distance below which other yaws are tried, and their differences [rad].
+#: Other yaws are tried if the plane moves closer than this share [-]; changes of yaw [rad].
 NEAR, TURNS = 0.75, (20.0 * DEG, -20.0 * DEG, 40.0 * DEG, -40.0 * DEG)
-HIDDEN = 20.0 * UM  #: Largest distance from the scallop of the previous pass [m].
-ENDS = 3  #: Points at both ends without this limit, because the angles are free there.
+HIDDEN = 20.0 * UM  #: Largest gap between a strip and the scallop of the previous pass [m].
+ENDS = 3  #: Points at each end where the gap is unlimited, because the angles are free there.
 
 
 class NoPassError(UnfitError):
@@ -76,7 +76,7 @@ class PassRecursion:
         self.notes: list[str] = []
 
     def largest_stepover(self) -> float:
-        """Estimate the largest distance of planes anywhere on the surface at the tilt [m]."""
+        """Estimate the largest plane distance that any point of the surface allows [m]."""
         u, v = self.surface.grid(SAMPLES, SAMPLES)
         ours = self.surface.contains(u, v)
         smallest = self.surface.at(u[ours], v[ours]).principal_curvatures()[0]
@@ -109,7 +109,7 @@ class PassRecursion:
             return self.closer_pass(None, plane, 1, error)
 
     def half_width_at(self, plane: float) -> float:
-        """Return half the distance of the planes; without a stepover, the tilt determines it."""
+        """Return half the plane distance; without a stepover, it follows from the tilt [m]."""
         if self.options.stepover is not None:
             return 0.5 * self.options.stepover
         curve = self.planes.curve(plane)
@@ -230,7 +230,7 @@ class PassRecursion:
         return None
 
     def room(self, before: Pass | None, curve: GuidingCurve, angles: Angles) -> float:
-        """Return the largest distance from the previous pass without a ridge in between [m]."""
+        """Return the plane distance from the previous pass at which the strips just meet [m]."""
         if before is None:
             reach = self.reach(curve, angles, -1.0)
             kept = kept_places(curve, angles.s, reach, self.options.overrun)

@@ -240,7 +240,7 @@ def simulate_motion(request: SimulateRequest) -> int:
 
 
 def across(surface: Surface, direction: float) -> FloatArray:
-    """Return N for a feed direction in the mean tangent plane of a surface."""
+    """Return the plane normal N for a feed direction [rad] in the mean tangent plane."""
     u, v = surface.grid(21, 21)
     point = surface.at(u, v)
     up = unit(_mean_normal(surface))

@@ -33,7 +33,7 @@ MOST_AT_ONCE, MOST_IN_LINE, MOST = 50_000_000, 1 << 24, 1 << 40
 class Needles:
     base: FloatArray  #: (rows, columns, 3): Points of the surface [m].
     normal: FloatArray  #: (rows, columns, 3): Unit normals there [-].
-    #: (rows, columns): Needles on the face, where it does not fill the rectangle of parameters.
+    #: (rows, columns): True for needles on the face; None if all needles are on it.
     counted: BoolArray | None = None
 
     @staticmethod
@@ -152,14 +152,14 @@ PIECE = 0.3  #: Longest piece of motion, as a share of the corner radius.
 #: Largest turn of the axis in a piece [rad]; centre and tip then both move nearly straight.
 TURN = 2.5e-3
 COARSE = 0.4 * MM  #: Distance of the poses of a first, rough cut [m].
-BATCH = 2000  #: Pieces of a batch; each batch begins with a rough cut.
+BATCH = 2000  #: Number of pieces in a batch; each batch begins with a rough cut.
 
 
 @dataclass(frozen=True)
 class MotionPieces:
-    """Pieces of the motion of a mill, between two poses on straight lines of tip and axis.
+    """Pieces of the motion of a mill; in each, tip and axis move straight between two poses.
 
-    Pieces are so short that a parabola through three heights locates the lowest one.
+    Pieces are so short that a parabola through three heights locates the lowest height.
     """
 
     cutter: Cutter  #: The mill.
@@ -197,12 +197,12 @@ class MotionPieces:
 
     @property
     def skin(self) -> float:
-        """Distance of the mill's surface from its cylinder [m]; a flat mill gets one, too."""
+        """Distance of the mill's surface from its inner cylinder [m]; 1 nm for a flat mill."""
         return max(self.cutter.corner_radius, 1e-9)
 
     @property
     def search(self) -> tuple[int, float]:
-        """Stages of the search for the lowest height, and half its first interval [-]."""
+        """Number of stages of the search for the lowest height; half of its first interval [-]."""
         return (2, 0.25) if self.cutter.corner_radius > 0.05 * MM else (14, 1.0)
 
     def near(self, centre: FloatArray, radius: float) -> MotionPieces:
@@ -227,7 +227,7 @@ class MotionPieces:
 def pieces(
     tip: FloatArray, axis: FloatArray, longest: float, arm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Divide long motions so that neither tip nor rim moves further than a length."""
+    """Divide motions so that neither tip nor rim moves further than ``longest`` in a piece."""
     turn = norm(np.diff(axis, axis=0))
     way = norm(np.diff(tip, axis=0)) + arm * turn
     count = np.ceil(np.maximum(way / longest, turn / TURN)).astype(int).clip(1)

@@ -31,7 +31,7 @@ class WideStripError(UnfitError):
 class Angles:
     """Tilt and yaw along a pass: cubic splines through values, constant beyond them."""
 
-    s: FloatArray  #: (n,): Places in increasing order [m].
+    s: FloatArray  #: (n,): Arc lengths along the curve, in increasing order [m].
     #: (n,): Angles there [rad].
     tilt: FloatArray
     yaw: FloatArray
@@ -51,7 +51,7 @@ class Angles:
 class Pass:
     curve: GuidingCurve  #: Path of the guided point K.
     angles: Angles  #: Tilt and yaw along it.
-    s: FloatArray  #: (n,): Places of the scallop points [m].
+    s: FloatArray  #: (n,): Arc lengths along the curve for the scallop points [m].
     postures: Postures  #: The postures there.
     right: Scallops  #: Scallop points on the side of the next pass.
     #: (n,): Newton steps of stage 2; zero in passes that were not fitted to the previous pass.
@@ -205,7 +205,7 @@ def runs(true: BoolArray) -> list[slice]:
 
 
 def places_around(good: BoolArray, kept: BoolArray) -> IntArray:
-    """Return the good places, from the run of the first milled place to that of the last."""
+    """Return the good places in all runs of them between the first and the last milled one."""
     found = runs(good)
     ours = [run for run in found if kept[run].any()]
     if not ours:

@@ -1,4 +1,4 @@
-"""Imports of tiles of needles, loaded once by the process from which workers are forked."""
+"""Modules that tiles of needles need, imported once by the process that forks the workers."""
 
 import gc
 

@@ -47,7 +47,7 @@ def map_figure(heights: Heights, scallop: float) -> Any:
 
 
 def thinned(values: FloatArray, skip: int) -> FloatArray:
-    """Reduce a map by square cells; each cell keeps the value farthest from zero."""
+    """Reduce a map to cells of skip x skip values; a cell keeps the value farthest from zero."""
     if skip == 1:
         return values
     rows, columns = (-(-n // skip) * skip for n in values.shape)

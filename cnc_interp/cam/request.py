@@ -12,7 +12,7 @@ from cnc_interp.cam.tool_path import LinkOptions
 from cnc_interp.core import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.settings.options import Settings
 
-#: Tolerances of the program, as shares of the scallop height, and of the reserve [-].
+#: Tolerance of the program as a share of the scallop height, or of the reserve [-].
 SMOOTHING, SMOOTHING_OF_RESERVE = 0.2, 0.5
 #: Units of options that keep their name; others have none.
 UNITS = {'spacing': MM, 'margin': MM, 'overrun': MM, 'feed': MM_PER_MIN, 'scallop': UM}
@@ -26,14 +26,14 @@ class CutRequest:
     surface: Path  #: Its file.
     face: tuple[int, ...]  #: Faces of a STEP file; without one, its only face.
     turns: tuple[float, float, float]  #: Turns of the surface about X, Y and Z on the table [deg].
-    direction: float  #: Feed direction from the u lines of the surface [rad].
+    direction: float  #: Angle of the feed direction to the u lines of the surface [rad].
     cutter: Cutter
     scallop: float  #: Scallop height, for passes and for the colours of maps [m].
     tolerance: float  #: Tolerance of a program that leaves this scallop height [m].
     spacing: float  #: Distance of the needles [m].
     margin: float  #: Distance from the border for the figures [m].
     machine: str
-    compensate: str | None  #: Machine whose drives are the model of the executed motion.
+    compensate: str | None  #: Machine whose drive model compensates the executed motion.
     json: bool  #: Whether the summary is printed as JSON, without progress.
 
     @classmethod
@@ -55,7 +55,7 @@ class CutRequest:
 
 @dataclass(frozen=True)
 class CamRequest(CutRequest):
-    """A program of constant scallop height to make."""
+    """Request for a program of constant scallop height."""
 
     out: Path  #: Folder to write.
     ignore_neighbours: bool  #: Whether passes may enter other faces of the part.
@@ -67,8 +67,8 @@ class CamRequest(CutRequest):
     chord: float  #: Chord tolerance of formats without splines [m].
     overrun: float  #: Length of the passes beyond the border [m].
     feed: float  #: [m/s].
-    simulate: bool  #: Whether the program cuts the surface.
-    run: bool  #: Whether the planned and the executed motion also cut it.
+    simulate: bool  #: Whether to simulate how the program cuts the surface.
+    run: bool  #: Whether to simulate the planned and the executed motion, too.
 
     @classmethod
     def _more(cls, options: Mapping[str, Any], cutter: Cutter) -> dict[str, Any]:
@@ -89,10 +89,10 @@ class CamRequest(CutRequest):
 
 @dataclass(frozen=True)
 class SimulateRequest(CutRequest):
-    """A program or a plan that cuts a surface."""
+    """Request to simulate how a program or a plan cuts a surface."""
 
     motion: Path  #: Part program, or folder of a plan.
-    executed: bool  #: Whether the motion of the drives cuts, instead of the setpoints.
+    executed: bool  #: Whether to simulate the motion of the drives instead of the setpoints.
     out: Path | None  #: Page to write.
     tiles: Path | None  #: Folder of tiles, for millions of needles.
     workers: int | None

@@ -56,7 +56,7 @@ class Scallops:
     angle: FloatArray  #: (n,): phi on the corner circle [rad].
     #: (n,): False where the mill does not reach the scallop height within its width.
     found: BoolArray
-    #: (n,): Iterations that bracketed and that solved phi.
+    #: (n,): Iterations to bracket phi, and iterations to solve for it.
     marched: IntArray
     refined: IntArray
 

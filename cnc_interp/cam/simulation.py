@@ -36,7 +36,7 @@ class Motion:
 
 
 def thinned(motion: Motion) -> Motion:
-    """Drop poses that lie, within a small part of a scallop height, between their neighbours."""
+    """Drop poses that their neighbours interpolate with an error of at most ``THIN``."""
     tip, axis = motion.tip, motion.axis
     for _ in range(THINNINGS):
         if len(tip) < 5:

@@ -17,7 +17,7 @@ from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core import MM, UM, FloatArray, demand, dot, norm, scaled, unit
 
 ARM = 10.0 * MM  #: Height above the tip at which the chord tolerance also holds [m].
-FINEST = 20  #: Most halvings of the intervals along a pass.
+FINEST = 20  #: How often an interval along a pass may be halved.
 SPACING = 0.05 * MM  #: Distance of the poses that a spline is compared with [m].
 CLOSE = 0.05 * UM  #: Largest distance of a spline from these poses [m].
 COARSEST = 3.2 * MM  #: Distance of the knots at first [m].
@@ -123,7 +123,7 @@ def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray
 def chord_error(
     tip: FloatArray, top: FloatArray, middle_tip: FloatArray, middle_top: FloatArray
 ) -> FloatArray:
-    """Return the distance of poses from linear blocks, both at the same share of the block."""
+    """Return the distance of middle poses from linear blocks; tip and top share a parameter."""
     chord, chord_top = tip[:, 1] - tip[:, 0], top[:, 1] - top[:, 0]
     away = middle_tip - tip[:, 0]
     share = dot(away, chord) / np.maximum(dot(chord, chord), 1e-24)

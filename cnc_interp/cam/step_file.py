@@ -28,13 +28,13 @@ CONVERTED = {
     'Geom_SurfaceOfRevolution': 'surface of revolution',
 }
 NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'offset surface'}
-#: A boundary within this distance of the rectangle of parameters is the rectangle [m].
+#: A boundary this near to the rectangle of parameters counts as the rectangle [m].
 ON_BORDER = 10e-6
 EDGE_POINTS = 65  #: Points along an edge that are compared with the rectangle.
-#: Largest distance of the polylines from the edges [m], and the smallest and largest number of
-#: pairs of their pieces.
+#: Largest distance of a polyline from its edge [m], and the least and largest number of pairs of
+#: its pieces.
 CHORD, EDGE_PIECES, MOST_PIECES = 2e-6, 8, 2048
-ANY = 1.0  #: Sizes of shapes before those of the face are known.
+ANY = 1.0  #: Preliminary size of a shape, until that of the face is known.
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def _vector(one: Any) -> FloatArray:
 
 
 def _patch(geometry: Any, flip: bool) -> Surface:
-    """Make our surface of a Geom_BSplineSurface; a direction of degree 1 is raised to 2."""
+    """Convert a Geom_BSplineSurface to a Surface; degree 1 is raised to 2."""
     spline = geometry.Copy()
     if spline.IsUPeriodic():
         spline.SetUNotPeriodic()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StrategyOption:
-    """An option of the command line for some strategies only."""
+    """A command-line option that only some strategies have."""
 
     name: str
     meaning: str  #: Text for the help, which adds the default.
@@ -57,7 +57,7 @@ class Strategy:
     meaning: str
     options: tuple[StrategyOption, ...]
     passes: Passes
-    #: Facts of its passes for the summary, the same facts as lines of text, and page figures.
+    #: Functions: facts of passes for the summary, these facts as text, and figures for the page.
     facts: Callable[[Any], dict[str, Any]] = lambda paths: {}
     words: Callable[[dict[str, Any]], Sequence[str]] = lambda facts: ()
     figures: Callable[[Any], list[tuple[str, str, Any]]] = lambda paths: []

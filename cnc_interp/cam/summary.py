@@ -1,4 +1,4 @@
-"""Figures of passes, of their turns near the pole, and of simulated surfaces; and as text."""
+"""Figures of passes, rotary motion near the pole and simulated surfaces, also as text."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class _Turns:
         return float(np.arcsin(min(sine.min(), 1.0))), float(rate.max()) / fastest
 
     def reached(self, transform: FiveAxis) -> bool:
-        """Return whether the travel of the tilt contains the largest angles from the pole."""
+        """Return whether the inner axis can reach the largest angles from the pole."""
         inner = 1 - transform.outer
         low, high = transform.machine.travel[3 + inner]
         along = self.start @ transform.pole

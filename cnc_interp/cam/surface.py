@@ -127,7 +127,7 @@ class Surface(ABC):
         return u, v, np.where(moved < 1e-9, height, np.nan)
 
     def grid(self, rows: int, columns: int, extension: float = 0.0) -> tuple[FloatArray, ...]:
-        """Return parameters over the domain, (rows, columns), and ``extension`` [m] beyond it."""
+        """Return u and v, (rows, columns), on a grid ``extension`` [m] beyond the domain."""
         (u0, u1), (v0, v1) = self.domain
         grow_u, grow_v = self.growth(extension) if extension else (0.0, 0.0)
         u, v = np.meshgrid(
@@ -150,7 +150,7 @@ class Surface(ABC):
         return np.asarray(along & (v >= v0 - grow_v) & (v <= v1 + grow_v))
 
     def check(self, offset: float = 0.0) -> None:
-        """Reject a surface that is degenerate or folds, or whose offset [m] does: SurfaceError."""
+        """Raise SurfaceError if the surface, or its offset [m], is degenerate or folds."""
         u, v = self.grid(SAMPLES, SAMPLES)
         point = self.at(u, v)
         area = norm(cross(point.d_u, point.d_v))

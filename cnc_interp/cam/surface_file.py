@@ -1,7 +1,7 @@
 """Surface files: STEP, or JSON in mm and degrees (docs/how_it_works/cam.md).
 
-OpenCASCADE may crash or never end on a malicious STEP file. So it runs in a separate process,
-which writes the surface, or a reason, to its standard output.
+OpenCASCADE may crash or never end on a malicious STEP file. Therefore it runs in a separate
+process that writes the surface, or an error message, to its standard output.
 """
 
 import os
@@ -132,8 +132,8 @@ def _placed(file: _File, surface: Surface) -> Surface:
     return Placed(surface, np.asarray(rotation), shift)
 
 
-#: Processor time for a file, and more for each MB of it [s]. Memory beyond that explained by its
-#: length [bytes].
+#: Processor time for any file, and in addition for each MB of it [s]; memory in addition to the
+#: length of the file [bytes].
 SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
 
 

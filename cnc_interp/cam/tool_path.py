@@ -39,8 +39,8 @@ UPRIGHT = 0.2  #: Smallest cosine between the tool axis and the direction of the
 
 @dataclass(frozen=True)
 class LinkOptions:
-    #: Every second pass in the opposite direction after a short lift, or all passes in one
-    #: direction with a return over a safe level.
+    #: Zigzag reverses every second pass after a short lift; otherwise all passes have one
+    #: direction, and the tool returns on a safe level.
     linking: Linking = 'zigzag'
     #: Lift between passes, and height of the safe level above the surface [m].
     clearance: float = 2.0 * MM
@@ -79,7 +79,7 @@ def link(
     steps: list[Link | SplinePass] = []
 
     def over(tip: FloatArray, axis: FloatArray) -> FloatArray:
-        """Return the tip on the safe level, to which the mill rises along its axis unhindered."""
+        """Return the tip after the mill has retracted along its axis to the safe level."""
         rise = float(axis @ up)
         refuse_if(
             rise < UPRIGHT,
@@ -186,7 +186,7 @@ def write_tool_path(
 
 
 def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iterator[WrittenMove]:
-    """Yield lines, and the control points of passes; the first is the end of the previous line."""
+    """Yield lines and control points of passes; the line before a pass ends at its first one."""
     for step in steps:
         if isinstance(step, Link):
             second = step.tip + ARM * step.axis

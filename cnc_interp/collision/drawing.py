@@ -1,4 +1,4 @@
-"""Triangles of the bodies of a scene, which the page, RViz and URDF draw; also as STL files."""
+"""Triangles of the bodies of a scene, for the page, RViz, URDF and STL files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class DrawnBody:
     link: str  #: Link of the machine that carries it.
     role: Role
     tool: int  #: Number of the tool that it belongs to; 0 if it is always present.
-    triangles: FloatArray  #: (m, 3, 3): Surface in the frame of the link, seen from outside [m].
+    triangles: FloatArray  #: (m, 3, 3): Outward triangles of the surface in the link's frame [m].
 
     def stl(self) -> bytes:
         """Return the surface as a binary STL file, in metres."""
@@ -31,7 +31,7 @@ class DrawnBody:
 
 
 def drawn_bodies(scene: Scene, machine: Machine) -> Iterator[DrawnBody]:
-    """Yield the bodies of a scene; SceneError names one whose link the machine does not have."""
+    """Yield the bodies of a scene; SceneError if the machine has no link for a body."""
     for body in Placed.of(scene, machine).scene.bodies:
         triangles = body.triangles
         if triangles is None:

@@ -35,7 +35,7 @@ from cnc_interp.program.blocks.functions import Functions
 if TYPE_CHECKING:
     from cnc_interp.collision.follow import Contact, CutStock, Spans
 
-LEAVES = 1e-7  #: A motion by hand may start too near if it gains more distance than this [m].
+LEAVES = 1e-7  #: A move by hand may start too near if it then moves further away than this [m].
 MOST_HITS = 1 << 16  #: Largest number of hits listed for one part of the path.
 #: Outputs that M6 sets to the number of the tool: with a tool changer, and by hand.
 TOOL_OUTPUTS = ('tool_number', TOOL)
@@ -75,11 +75,11 @@ class ClearanceFigures:
     tests: int = 0
     certificates: int = 0
     pairs: int = 0
-    nearest: Nearest | None = None  #: Between bodies of the tool's side and of the other side.
+    nearest: Nearest | None = None  #: Between the tool's side and the other side of the machine.
 
 
 class PathClearance:
-    """Checks parts of one path in order; ``push`` returns what a further part hits."""
+    """Checks the parts of one path in order; ``push`` checks the next part."""
 
     def __init__(self, machine: Machine, scene: Scene, most_hits: int = MOST_HITS):
         self.machine, self.scene = machine, scene
@@ -94,7 +94,7 @@ class PathClearance:
 
     @cached_property
     def stock(self) -> CutStock | None:
-        """The stock that is cut along the path, of a scene with a stock and tools."""
+        """The stock that is cut along the path; None if the scene has no stock or no tools."""
         if not self.scene.grid or not self.scene.tools:
             return None
         from cnc_interp.collision.follow import CutStock  # loaded with a stock only
@@ -102,7 +102,7 @@ class PathClearance:
         return CutStock(self.placed, self._space)
 
     def call_tools(self, functions: Functions) -> None:
-        """Receive the program's functions up to this part, including tool changes."""
+        """Set the program's functions up to this part; tool changes select the tool to check."""
         signals = self.machine.signals
         names = [signals.outputs[step.output].name for step in signals.steps]
         calls = np.flatnonzero([names[step] in TOOL_OUTPUTS for step in functions.step])
@@ -242,7 +242,7 @@ class PathClearance:
             yield from self.stock.follow(route, cells, number, bool(rapid[first]), near)
 
     def _stock_hit(self, route: Route, lines: IntArray, contact: Contact) -> list[Hit]:
-        """Return a contact with remaining material as a hit, unless its line already has one."""
+        """Return a contact with the remaining stock as a hit, unless its line already has one."""
         assert self.stock is not None
         s, number, piece, length = contact
         line = int(lines[np.searchsorted(route.s[1:-1], s, 'right')])
@@ -331,7 +331,7 @@ class PathClearance:
         return np.asarray(tool)
 
     def _refuse_inside(self, route: Route, first: int, pairs: list[tuple[int, int]]) -> None:
-        """Reject a body that begins inside a mesh: the check sees only the surface of a mesh."""
+        """Reject a body that starts inside a mesh, because only the mesh surface is checked."""
         meshes = [k for k, body in enumerate(self.scene.bodies) if body.triangles is not None]
         asked = [pair for pair in pairs if pair[0] in meshes or pair[1] in meshes]
         if not asked:

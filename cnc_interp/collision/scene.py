@@ -102,7 +102,7 @@ class Placed:
     chain: Chain
     names: tuple[str, ...]  #: Names of the links.
     pieces: Pieces
-    first: tuple[int, ...]  #: First piece of each body, and the number of pieces.
+    first: tuple[int, ...]  #: Number of each body's first piece, then the number of all pieces.
     pairs: tuple[tuple[int, int], ...]  #: Bodies that must keep apart.
     clearance: FloatArray  #: (bodies, bodies): Smallest allowed distance [m].
 

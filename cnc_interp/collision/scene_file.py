@@ -62,8 +62,8 @@ def find_scene_file(path_or_name: str | Path) -> Path:
 def read_scene(path: Path, setup: str = '') -> Scene:
     """Read a scene; SceneError names the file, the entry and what to do, in one line.
 
-    ``setup``: text of a setup. The tools of its table get bodies unless the scene has them, and
-    its tool in the spindle is the first one.
+    ``setup``: text of a setup. The tools of its table get bodies unless the scene describes them.
+    The tool in its spindle becomes ``first_tool``.
     """
     path = find_scene_file(path)
     scene = _Reading(path, JobSetup.of_text(setup)).scene(_content(path))
@@ -106,7 +106,7 @@ class _Reading:
         self._meshes: list[Path] = []
 
     def _included(self, value: Any) -> Scene:
-        """Return the included scene, which comes first and may not include another."""
+        """Return the scene to include; it is read first and may not include another scene."""
         if not isinstance(value, str):
             raise self.fault('include', 'must be a scene file, or the name of a bundled one')
         beside = self._path.parent / value
@@ -196,7 +196,7 @@ class _Reading:
         )
 
     def of_table(self, number: int, tool: Tool, holders: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the entry of ``tools`` for a tool of the tool table; empty without sizes.
+        """Return the entry of ``tools`` for a tool of the table; empty if the tool has no sizes.
 
         If no flute length is given, the whole length below the holder counts as cutting.
         """

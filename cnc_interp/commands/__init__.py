@@ -1,1 +1,1 @@
-"""The commands of `cnc-interp`: options, words of the shop floor, exit codes."""
+"""The commands of `cnc-interp`: their options in shop-floor terms, and their exit codes."""

@@ -1,4 +1,4 @@
-"""Commands for runs in bags, their proofs, and scores of motions along the problem set."""
+"""Commands that prove, report, record and replay runs, and that score feed laws."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def check_command(options: Namespace) -> int:
 
 
 def prove_runs(options: Namespace) -> Iterator[Any]:
-    """Yield the proof of each run of a bag, or the InterpError of one that cannot be judged."""
+    """Yield the proof of each run of a bag, or an InterpError if a run cannot be judged."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_run import programs_of
 
@@ -151,7 +151,7 @@ def is_bag(path: Path) -> bool:
 def run_files(
     path: Path, machine: str | None, run_id: str = '', compare: bool = False
 ) -> Iterator[tuple[Path, str, list[FloatArray], list[str]]]:
-    """Yield plan files of a run in a bag, the last one or by its id, in a temporary folder.
+    """Yield a temporary folder with the plan files of a run in a bag: the last, or ``run_id``.
 
     Also yield the machine, the motion outside the program, and contradictions in the record of the
     run if they are to be checked.

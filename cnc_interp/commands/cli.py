@@ -1,4 +1,4 @@
-"""The `cnc-interp` command: words of the shop floor in, one clear line per mistake out."""
+"""The `cnc-interp` command: run the chosen command, and report a mistake in one clear line."""
 
 import argparse
 import contextlib
@@ -27,7 +27,7 @@ from cnc_interp.commands.plan import (
 from cnc_interp.commands.send import add_send_command
 from cnc_interp.core import InterpError
 
-#: Options that name output files: their folders are made first, before minutes of work.
+#: Options that name output files. Their folders are made before any work begins.
 WRITTEN = 'out', 'html', 'record', 'export', 'write'
 
 
@@ -67,14 +67,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _is_interrupt(problem: BaseException | None) -> bool:
-    """Return whether it was Ctrl-C, which libraries may turn into ImportError while loading."""
+    """Return whether Ctrl-C was the cause; libraries that load may turn it into ImportError."""
     while not isinstance(problem, KeyboardInterrupt | None):
         problem = problem.__cause__ or problem.__context__
     return problem is not None
 
 
 def _told(problem: OSError, options: argparse.Namespace | None) -> str:
-    """Return a fault of the file system as text; for a full disk, with the written file."""
+    """Return the message for a file-system error; for a full disk, it names the output file."""
     place = problem.filename or getattr(options, 'out', None) or getattr(options, 'record', None)
     reason = problem.strerror or str(problem)
     if isinstance(problem, FileExistsError | NotADirectoryError):

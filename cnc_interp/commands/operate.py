@@ -1,4 +1,4 @@
-"""`cnc-interp jog`, `home`, `mdi`, `probe`, `offsets` and others: a running machine operated."""
+"""`cnc-interp jog`, `home`, `mdi`, `probe`, `offsets` and others: operate a running machine."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""Options that several commands share; the settings of a run are made from their declarations."""
+"""Options that several commands share; those of settings follow from the declarations."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CommandParser(argparse.ArgumentParser):
     """A parser that reports mistakes in one line, with the option that may be meant."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse the arguments; reject an unknown option, with the nearest known one."""
+        """Parse the arguments; reject an unknown option and suggest the nearest known one."""
         found, rest = super().parse_known_args(args, namespace)
         unknown = next((word for word in rest if word.startswith('--') and word != '--'), None)
         if unknown is not None:
@@ -59,12 +59,12 @@ class CommandParser(argparse.ArgumentParser):
         self.exit(BAD_INPUT, f'{self.prog}: {message}\n')
 
 
-#: Adds an option, an argument, or the choices of the settings to a parser.
+#: A function that adds an option, an argument, or the options of settings to a parser.
 Adds = Callable[[argparse.ArgumentParser], object]
 
 
 def option(name: str, meaning: str, kind: Any = None, metavar: Any = None, **more: Any) -> Adds:
-    """Return an option or, without dashes, an argument; ``kind`` reads its text."""
+    """Return a function that adds an option, or an argument if its name has no dashes."""
     names = name.split()
     return lambda to: to.add_argument(*names, help=meaning, type=kind, metavar=metavar, **more)
 
@@ -121,7 +121,7 @@ def page_options() -> tuple[Adds, ...]:
 
 
 def command(commands: Any, function: Any, example: str, *options: Adds) -> CommandParser:
-    """Add a command by the name of its function, whose docstring is the description."""
+    """Add a command with the name of its function and its docstring as description."""
     name = function.__name__.removesuffix('_command').replace('_', '-')
     told = str(function.__doc__)
     purpose = told[0].lower() + told[1:].rstrip('.')

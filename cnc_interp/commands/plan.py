@@ -1,4 +1,4 @@
-"""`cnc-interp plan`, `run` and `panel`: a program without ROS, through the nodes, from a page."""
+"""`cnc-interp plan`, `run` and `panel`: plan without ROS, run with ROS, operate from a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cnc-interp send`: a finished plan is executed by a controller of ros2_control."""
+"""`cnc-interp send`: let a controller of ros2_control execute a finished plan."""
 
 import sys
 from argparse import Namespace

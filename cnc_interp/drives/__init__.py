@@ -1,1 +1,1 @@
-"""The model of the drives: how axes follow, the error at the tool, and the inverse."""
+"""The model of the drives: how axes follow, the error at the tool, and the inverse model."""

@@ -24,7 +24,7 @@ from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Axis, Machine
 
 STILL = 1e-8  #: A setpoint step below this is rest [m, rad].
-SETTLING = 0.3  #: Time after the last motion of an axis that is still used [s].
+SETTLING = 0.3  #: Time after the last motion of an axis that the fit still uses [s].
 FORGOTTEN = 2  #: Number of reversals after which the state before the recording no longer matters.
 MODES = (22.0, 32.0, 45.0, 65.0)  #: Frequencies at which the search for the mode begins [Hz].
 SEARCH, LAST = 6, 60  #: Most steps of the first searches, and of the last one.
@@ -37,7 +37,7 @@ SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
 @dataclass(frozen=True)
 class Parameter:
     name: str  #: Field of ``AxisDrive``, or ``coulomb``.
-    start: float  #: Start of the search; for rotary axes lengths are taken as angles.
+    start: float  #: Start of the search; for rotary axes in rad instead of m.
     low: float
     high: float
 
@@ -84,7 +84,7 @@ def identify_axis(
 ) -> IdentifiedAxis | None:
     """Fit the model of one axis; None if it did not move.
 
-    ``setpoints``, ``rates``, ``feedback`` (K, n_axes): with measured positions [m, rad, per s].
+    ``setpoints``, their ``rates``, measured ``feedback``: (K, n_axes) [m, rad, per s].
     Raises InterpError if the axis reversed too seldom to show its friction and backlash.
     """
     rows = _moving(setpoints[:, axis], period)
@@ -141,7 +141,7 @@ def _after_reversals(setpoint: FloatArray) -> BoolArray:
 
 
 def _near_motion(setpoint: FloatArray, period: float) -> BoolArray:
-    """Return where the axis moves or settles; a long rest would only repeat one rounding error."""
+    """Return True where the axis moves or settles; a long rest only repeats one rounding error."""
     moves = np.abs(np.diff(setpoint, prepend=setpoint[0])) > STILL
     last = np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -len(moves)))
     return np.arange(len(moves)) - last <= SETTLING / period
@@ -348,7 +348,7 @@ ROOM = 0.4  #: Largest share of the travel to one side.
 
 
 def excitation(machine: Machine) -> str:
-    """Write a program for all axes that ends where it begins; MachineError if it lacks room."""
+    """Return a program for all axes that ends where it begins; MachineError if travel is short."""
     lines = [f'(EXCITATION OF THE AXES OF {machine.name.upper()}: for cnc-interp identify)']
     moving = [axis for axis in machine.axes if not axis.locked]
     lines += ['G21 G94 G91', 'TRAFOOF', 'G0 ' + ' '.join(f'{axis.name}0' for axis in moving)]

@@ -26,14 +26,14 @@ from cnc_interp.machine_model.transform_port import Transform
 #: Largest cutoff of the low pass [Hz], and its largest share of the mode's frequency [-].
 CUTOFF, SHARE = 40.0, 0.65
 FASTEST = 0.2  #: Largest cutoff over the sampling rate, which matters for long periods [-].
-#: Time for which the last setpoint is held after the program, and the last part of it in which the
-#: learnt part fades to zero [s].
+#: Time for which the last setpoint is held after the program, and the time at its end in which the
+#: learnt correction fades to zero [s].
 HELD, FADES = 0.3, 0.2
-COMES = 5e-3  #: Time in which the learnt part fades in at the start, before the motion [s].
+COMES = 5e-3  #: Time in which the learnt correction fades in, before the motion starts [s].
 
 
 def with_hold(setpoints: FloatArray, period: float) -> FloatArray:
-    """Return setpoints (K, n_axes) from the first motion on; the last one is held for a while."""
+    """Return setpoints (K, n_axes) without the rest before the motion; the last one is held."""
     held = np.repeat(setpoints[-1:], math.ceil(HELD / period), axis=0)
     return np.concatenate([setpoints[start_of(setpoints) :], held])
 
@@ -54,7 +54,8 @@ def learnt_rates(
     """Return the learnt feed-forward for the next run, (K, n_axes) [m, rad, per s].
 
     ``lead``: delay of all axes [s]; ``setpoints``: from ``with_hold``; ``feedback`` (F, n_axes):
-    positions of the last run, after which its last error is held; ``before``: its feed-forward.
+    positions measured in the last run; its last error is held after them. ``before``: feed-forward
+    of that run.
     """
     errors = late(setpoints, lead / period)[: len(feedback)] - feedback
     held = np.repeat(errors[-1:], len(setpoints) - len(errors), axis=0)
@@ -74,7 +75,7 @@ def learnt_rates(
 
 
 def late(rows: FloatArray, periods: float) -> FloatArray:
-    """Return rows delayed by some periods, interpolated linearly; the ends are held."""
+    """Return rows delayed by a number of periods, interpolated linearly; the ends are held."""
     number = np.arange(len(rows))
     return np.stack([np.interp(number - periods, number, row) for row in rows.T], axis=1)
 
@@ -114,7 +115,7 @@ SAME_PERIOD = 1e-12  #: A period that differs by less is the same [s].
 class LearntMotion:
     """The setpoints of a program, and the learnt feed-forward of each."""
 
-    #: (K, n_axes): Setpoints from the first motion on; the last one is held for a while [m, rad].
+    #: (K, n_axes): Setpoints without the rest before the motion; the last one is held [m, rad].
     setpoint: FloatArray
     rate: FloatArray  #: (K, n_axes): Added feed-forward; 0 in first and last row [m, rad, per s].
     period: float  #: Interpolation period [s].

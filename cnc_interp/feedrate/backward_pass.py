@@ -1,7 +1,8 @@
 """The largest squared speed at which the rest of a path can be followed: toppra's linear programs.
 
 The backward pass of TOPP-RA [PP2018, Algorithm 1] with ``seidel``. The unknowns of a step are
-b = s_dot^2 at its start and the change of b, divided by the largest b, so that any unit will do.
+b = s_dot^2 at its start and the change of b, divided by the largest b, so that the result does not
+depend on the units.
 """
 
 import sys
@@ -20,7 +21,7 @@ from toppra.constraint import LinearConstraint
 from toppra.interpolator import AbstractGeometricPath
 from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
-ROUNDING = 1e-7  #: Share of the largest b that is added: the solver's tolerances are fixed.
+ROUNDING = 1e-7  #: Share of the largest b that is added, because the solver's tolerance is fixed.
 
 
 class _Steps(AbstractGeometricPath):  # type: ignore[misc]
@@ -53,7 +54,7 @@ class _Rows(LinearConstraint):  # type: ignore[misc]
 
 
 class BackwardPass:
-    """The linear programs of the steps between some points of a path; each is solved alone."""
+    """The linear programs of the steps between points of a path; each is solved alone."""
 
     def __init__(self, start: FloatArray, end: FloatArray, cap: FloatArray):
         self._largest = float(cap.max())
@@ -65,7 +66,7 @@ class BackwardPass:
         self._fastest = np.array([-1e-9, -1.0])
 
     def largest(self, i: int, after: float) -> float:
-        """Return the largest b at point i from which at most ``after`` is reached at the next."""
+        """Return the largest b at point i from which b can fall to ``after`` at the next point."""
         b = self._solver.solve_stagewise_optim(
             i, None, self._fastest, np.nan, np.nan, 0.0, after / self._largest
         )[1]

@@ -1,4 +1,4 @@
-"""Settings of the feed planner, and the cells that it keeps of an older plan."""
+"""Settings of the feed planner, and the cells that it keeps from an older plan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class PlanOptions:
     window_cells: int = 4000  #: Largest number of path cells in one window.
     bound: bool = True  #: Whether the least time is computed; it does not change the law.
     below_ceiling: bool = False  #: Whether the jerk stage starts below the ceiling.
-    reserve: float = 0.029  #: Part of a limit left free where a law could not brake [-].
+    reserve: float = 0.029  #: Part of a limit that is kept free where a law could not brake [-].
 
     def finer(self) -> PlanOptions:
         return replace(
@@ -45,7 +45,7 @@ class KeptCells:
     ends: FloatArray  #: (k,): Path positions at the ends of the cells [m].
     scale: FloatArray  #: (k, 4, n_axes): Parts of the limits that these cells may use [-].
     m: FloatArray  #: (k,): Coefficients of the older law, from which the solver begins [m2/s2].
-    tool: FloatArray | None = None  #: (2, k): Parts of the limit at the tool, likewise [-].
+    tool: FloatArray | None = None  #: (2, k): Parts of the tool limit that they may use [-].
 
     def before(self, s: float) -> KeptCells:
         count = int(np.searchsorted(self.ends, s))
@@ -67,6 +67,6 @@ def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
 
 
 def tool_warnings(machine: Machine, settings: Settings) -> list[str]:
-    """Return warnings about ``wanted_tool`` for the operator; raises the same errors."""
+    """Return warnings about the tool limit for the operator; raises as ``wanted_tool``."""
     tool = wanted_tool(machine, settings)
     return [] if tool is None else tool.warnings

@@ -34,10 +34,10 @@ from cnc_interp.program.notices import WARNING
 from cnc_interp.settings.options import Settings
 
 FEELER = 1e-6  #: Half of the step of an axis in a difference of poses [m or rad].
-NORMALS = 4  #: Directions in which the error of the tip counts, and that of the axis.
-FIRST_PART, LEAST_PART = 0.97, 0.2  #: Part of the limit of rows at first, and least [-].
+NORMALS = 4  #: Number of directions in which the error of tip and of axis is limited.
+FIRST_PART, LEAST_PART = 0.97, 0.2  #: Part of the limit for rows: at first, and least [-].
 RELAXED = 1e-3  #: Part by which the limit is relaxed for cells of an older plan [-].
-STEADY_PART = 0.8  #: Largest part of its limit that friction and backlash may take of a row [-].
+STEADY_PART = 0.8  #: Largest part of a row's limit that friction and backlash may take [-].
 AIM, EXCESS_FACTOR = 0.985, 1.3  #: Use that a correction aims at; factor on the excess.
 NEARBY = 0.02  #: An error is attributed to the motion within this time before and after it [s].
 RUN_UP = 0.6  #: Time before a start in motion for which the drives are simulated [s].
@@ -91,7 +91,7 @@ class ToolLimit:
         ]
 
     def begun(self, path: AxisPath, start: tuple[float, float]) -> ToolLimit:
-        """Return the limit with the drives at the start of a path, if that is not known yet."""
+        """Return the limit with the drives simulated up to the start of a path, if necessary."""
         if self.motion is not None:
             return self
         q, q_s, q_ss = path.cell_left[:3, 0]
@@ -114,7 +114,7 @@ class ToolLimit:
         return replace(self, motion=None).begun(path, (0.0, 0.0))
 
     def after(self, stretch: Stretch, last: int) -> ToolLimit:
-        """Return the limit with the drives where a stretch has been committed to a grid point."""
+        """Return the limit with drives simulated along a stretch up to the grid point ``last``."""
         if self.motion is None or last == 0:
             return self
         law, motion = stretch.law(0.0, last), self.motion.copy()
@@ -124,7 +124,7 @@ class ToolLimit:
         return replace(self, motion=motion, wait=wait)
 
     def _times(self, law: MotionLaw) -> FloatArray:
-        """Return the times of the setpoints on a law that begins at the start of the path [s]."""
+        """Return the times of setpoints on a law [s], counted from the start of the path."""
         count = max(int(np.ceil((law.end_time - self.wait) / self.period - 1e-9)), 0)
         return self.wait + self.period * np.arange(count)
 
@@ -212,7 +212,7 @@ class ToolRows:
 
     def __init__(self, limit: ToolLimit, rows: FloatArray, kept: FloatArray | None):
         self._limit, self.rows = limit, rows
-        self.part = np.full((2, rows.shape[2]), FIRST_PART)  #: Of tip and axis in each cell [-].
+        self.part = np.full((2, rows.shape[2]), FIRST_PART)  #: For tip and axis in each cell [-].
         if kept is not None:
             self.part[:, : kept.shape[1]] = np.minimum(kept + RELAXED, 1.0)
 

@@ -1,4 +1,4 @@
-"""Passages of singular poses: segments wait until no later segment can change their guides."""
+"""Passages of singular poses; a segment waits until no later segment can change its guide."""
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
@@ -18,8 +18,8 @@ class Passages(ABC, Generic[Ahead]):
         self._waiting: Ahead | None = None  # segments that are not released
         self._open = 0  # the first of them in which a stretch may begin
         self._begins, self._stopped = True, True
-        #: Path length from the last stop to the first waiting segment [m]. Its bits do not depend
-        #: on how the segments arrive.
+        #: Path length from the last stop to the first waiting segment [m]. It does not depend, to
+        #: the last bit, on how the segments arrive.
         self._begun = 0.0
 
     @property
@@ -32,10 +32,10 @@ class Passages(ABC, Generic[Ahead]):
 
     @abstractmethod
     def _pass(self, path: Ahead, closed: bool) -> int:
-        """Choose the passages of a path between stops, as far as possible; return its segments."""
+        """Choose the passages of a path between stops; return how many segments are final."""
 
     def _step_over(self, path: Ahead, i: int) -> None:
-        """Skip a segment whose axes are coordinates of the path."""
+        """Skip a segment that prescribes its rotary axes, so that it has no passage."""
 
     def _released(self) -> None:
         """Record that the first segments have been released."""

@@ -1,4 +1,4 @@
-"""Segments that wait until their passage of singular poses is chosen.
+"""Segments that wait until their passages of singular poses are chosen.
 
 A place on them is given by path length [m], or by segment and parameter u.
 """
@@ -134,7 +134,7 @@ class PathAhead:
         )
 
     def led_between(self, left: PassageEnd, right: PassageEnd) -> tuple[slice, FloatArray]:
-        """Return the segments between two places, and guides that follow the septic there."""
+        """Return the segments between two points, and their guides, which follow the septic."""
         begin = left.segment + (left.u >= 1.0)
         end = right.segment + (right.u > 0.0)
         guides, length, coefficients = self.guides[begin:end].copy(), right.s - left.s, np.empty(8)

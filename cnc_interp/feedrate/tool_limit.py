@@ -222,7 +222,7 @@ class ToolRows:
         return rows
 
     def lower(self, stretch: Stretch) -> tuple[float, BoolArray]:
-        """Simulate a law; return its largest use of the limit, and cells with a lowered limit."""
+        """Lower the limit where a law exceeds it; return the largest use and the lowered cells."""
         nodes, factors = stretch.nodes[:-1], self.rows
         v, a = stretch.v[nodes], stretch.a[nodes]
         terms = factors[:, 0] * a + factors[:, 1] * v * v + factors[:, 2] * v + factors[:, 3]

@@ -1,4 +1,4 @@
-"""Segments whose passages of the pole are not decided yet, with their bounds."""
+"""Segments whose passages of the pole are not chosen yet, and bounds of these passages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import PathSegments
 
-AT_POLE = 0.9  #: The path is at the pole if this share of its tolerance reaches the pole [-].
+AT_POLE = 0.9  #: The path is at the pole if nearer to it than this share of its tolerance [-].
 EXACT = 0.01  #: Accuracy of the bound of the deviation, over the remaining tolerance [-].
 #: Matrices from the coefficients of a polynomial to its Bezier values, of degree 6 and 5.
 TO_BEZIER = [
@@ -69,7 +69,7 @@ class PathAtPole(PathAhead):
         return float(polar.pole_sine(self.transform.packed, kind, self.shapes[i], span, u))
 
     def following(self, i: int, u: float, s: float, branch: float, near: float) -> PassageEnd:
-        """Solve the rotary axes for the tool axis at one point, on a branch."""
+        """Return the rotary positions on a branch for the tool axis at one point of a segment."""
         outer = self.transform.outer
         stands = axes.Stands(np.zeros(3 + self.beside.shape[2]), np.array([branch]), self.height)
         stands.q[3 + outer] = near
@@ -79,7 +79,7 @@ class PathAtPole(PathAhead):
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
     def may_change_sign(self, i: int, tilt: float) -> bool:
-        """Return whether the tilt may change its sign: travel must reach as far on both sides."""
+        """Return whether the tilt may change to this side: its travel must be as long there."""
         transform = self.transform
         inner = 1 - transform.outer
         low, high = transform.machine.travel[3 + inner]

@@ -26,8 +26,8 @@ from cnc_interp.smoothing.segments import PathSegments
 if TYPE_CHECKING:
     from cnc_interp.kinematics.joint_passage import JointPassages
 
-SAME_POSE = 1e-9  #: A tool that differs from a pose by less is in that pose [m, -].
-SAME_TOOL = 1e-12  #: A curve whose tool vectors differ by less does not turn the tool [m].
+SAME_POSE = 1e-9  #: A tool that differs from a pose by less counts as being there [m, -].
+SAME_TOOL = 1e-12  #: If the tool vectors of a curve differ by less, the tool does not turn [m].
 ROUNDING = 1e-14  #: Tool vectors are equal if they differ less than this share of coordinates [-].
 #: A kink becomes a stop if its jerk, in one period, exceeds this share of the limit [-].
 KINK_JERK = 0.02
@@ -66,7 +66,8 @@ class AxisPathBuilder:
     """Turns segments into machine axes, batch by batch; kinks are judged by their jerk.
 
     ``spins`` (n, 10): for an arm, the spin of its tool on each coming segment (``SPIN``).
-    ``stands`` (n_axes,): positions of an arm, which it keeps if its tool is in the first pose.
+    ``stands`` (n_axes,): present positions of an arm; it keeps them if its tool is in the first
+    pose.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class AxisPathBuilder:
         return None if self.passages is None else self.passages.notice
 
     def _start(self, segments: PathSegments) -> None:
-        """Choose branch and whole turns at the first pose, unless its words name them."""
+        """Choose branch and whole turns at the first pose, unless its rotary words define them."""
         self._begun, line = True, int(segments.line_number[0])
         if isinstance(self.transform, JointChain):
             from cnc_interp.kinematics.joint_passage import JointPassages
@@ -134,7 +135,7 @@ class AxisPathBuilder:
             self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
 
     def push(self, segments: PathSegments) -> AxisPath | None:
-        """Accept segments; return the path of final ones, if any; BlockError names the line."""
+        """Accept segments; return the path of those that are final, or None if none are."""
         spare = segments.extra.shape[2] - len(self.machine.extra_names)
         if len(segments) and spare not in (0, int(self.machine.arm is not None)):
             raise BlockError(
@@ -332,7 +333,7 @@ class AxisPathBuilder:
     def _kinks(
         self, left: FloatArray, feed_left: FloatArray, right: FloatArray, feed_right: FloatArray
     ) -> BoolArray:
-        """Return at which grid points a jump of q_s or q_ss forces the tool to rest, shape (n,).
+        """Return True for grid points where a jump of q_s or q_ss forces the tool to rest, (n,).
 
         In one period T at speed v, a jump of q_s is a jerk of |jump| v / T^2, and a jump of q_ss
         is a jerk of |jump| v^2 / T. At exact corners the jumps are only rounding errors.

@@ -19,15 +19,15 @@ TO_BEZIER = np.array(
     [[1, 0, 0, 0], [1, 1 / 7, 0, 0], [1, 2 / 7, 1 / 42, 0], [1, 3 / 7, 1 / 14, 1 / 210]]
 )
 MIRROR = np.array([[1.0], [-1.0], [1.0], [-1.0]])
-_PLACES = np.linspace(0.0, 1.0, 65)  #: Places where the farthest position is searched [-].
-#: Largest accepted difference of rotary words from the positions reached [rad].
+_PLACES = np.linspace(0.0, 1.0, 65)  #: Parameters at which the farthest position is searched [-].
+#: Largest accepted difference between rotary words and the positions that the axes reach [rad].
 OFF_WORDS = 15.0 * DEG
 
 
 def check_words(
     transform: Transform, run: PathSegments, right: FloatArray, counts: IntArray
 ) -> None:
-    """Reject lines on which the tool axis leads the rotary axes away from their words."""
+    """Reject lines where the rotary axes, following the tool axis, do not reach their words."""
     machine = transform.machine
     lines = np.flatnonzero((run.kind == LINE) & np.isfinite(run.rotary[:, 1]).all(axis=1))
     if not len(lines) or not machine.has_rotary:
@@ -70,7 +70,7 @@ def refuse_tilt(machine: Machine, segments: PathSegments) -> None:
 
 
 def refuse(transform: Transform, status: int, line: int, stands: FloatArray) -> NoReturn:
-    """Reject a segment that cannot be cut into cells; the error names the last positions."""
+    """Reject a segment that the axes cannot follow; ``stands``: the last axis positions."""
     machine = transform.machine
     if isinstance(transform, JointChain) and status != STANDSTILL:
         raise transform.refusal(stands, line, status == SINGULAR)

@@ -18,8 +18,8 @@ from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, 
 from cnc_interp.machine_model.five_axis import ON_POLE, FiveAxis
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
-REACH = 30.0 * MM  #: Longest way before and after the pole on which C is prescribed [m].
-FAR = 10.0  #: Largest distance from the pole between two cores that are passed together [-].
+REACH = 30.0 * MM  #: Longest path before and after the pole on which C is prescribed [m].
+FAR = 10.0  #: Largest distance from the pole between two cores of one stretch [tolerances].
 WIDEST = 40.0 * DEG  #: A stretch begins only in segments nearer to the pole than this [rad].
 SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened [-]; shortest stretch [m].
 
@@ -50,12 +50,12 @@ class PolePassages(Passages[PathAtPole]):
         self.forbidden: list[int] = []
 
     def begin(self, rotary: FloatArray, branch: float, free: bool) -> None:
-        """Begin at rotary positions [rad]; if ``free``, the outer axis may begin anywhere."""
+        """Set the first rotary positions [rad]; if ``free``, the outer axis may start anywhere."""
         self._turn, self._branch, self._free = float(rotary[self._outer]), branch, free
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        """The first line where travel prevents a change of sign of the tilt, and a text."""
+        """The first line where travel prevents a change of sign of the tilt, and a message."""
         if not self.forbidden:
             return None
         machine = self._transform.machine
@@ -80,7 +80,7 @@ class PolePassages(Passages[PathAtPole]):
         self._stopped = bool(one.stop[i])
 
     def _pass(self, path: PathAtPole, closed: bool) -> int:
-        """Choose the passages of a path between stops, as far as possible; return its segments."""
+        """Choose the passages of a path between stops; return how many segments are final."""
         ends, hold = path.ends, np.inf
         total = float(ends[-1])
         moves = bool((path.motion == FOLLOWING).any())
@@ -110,7 +110,7 @@ class PolePassages(Passages[PathAtPole]):
         return ready
 
     def _slowest_turning(self, path: PathAtPole, cores: list[_Core]) -> _Stretch | None:
-        """Return the stretch over the first core, or the first two cores, that turns C least."""
+        """Return the stretch over the first core, or several, on which C turns most slowly."""
         best: _Stretch | None = None
         for k, core in enumerate(cores):
             whole = replace(cores[0], end=core.end, rests_after=core.rests_after)
@@ -248,7 +248,7 @@ class PolePassages(Passages[PathAtPole]):
     def _right(
         self, path: PathAtPole, core: _Core, beyond: float, arrives: bool, left: PassageEnd
     ) -> PassageEnd:
-        """Return the end of the last stretch, on the branch that turns the outer axis less."""
+        """Return the end of a stretch, on the branch for which the outer axis turns less."""
         near = float(left.jet[0])
         s = float(path.ends[-1]) if arrives else core.end + beyond
         i, u = (len(path) - 1, 1.0) if arrives else path.place(s)
@@ -267,7 +267,7 @@ class PolePassages(Passages[PathAtPole]):
     def _set_free(
         self, path: PathAtPole, left: PassageEnd, right: PassageEnd, begins: bool
     ) -> PassageEnd:
-        """Let the outer axis begin at its later position if the tool leaves the pole from rest."""
+        """If a stretch starts at rest on the pole, let C start at its later position."""
         leaves = self._stopped and path.motion[left.segment] == FOLLOWING
         if not begins or not (leaves or self._free):
             return left

@@ -26,7 +26,7 @@ from cnc_interp.processes.temporary_folder import TemporaryFolder
 if TYPE_CHECKING:
     from cnc_interp.page.server import Served
 
-#: Shortest token in a file: too long to be guessed, so no lock-out is needed [bytes].
+#: Shortest token in a file. It cannot be guessed, so no lock-out is needed [bytes].
 SHORTEST_TOKEN = 16
 LONGEST_TOKEN = 1000  #: Longest token [bytes].
 LAST_WAIT = 5.0  #: Longest wait for the page to end [s].

@@ -1,9 +1,9 @@
-"""Contact with a page: who may command; stops are never lost, and other commands never late.
+"""Contact with a page: who may command. No stop is lost, and no late command is executed.
 
 The page resends a stop until it is answered (``contact.js``). All other commands are executed only
-for a page that has heard the server recently: it answers each beat, and its messages arrive in
-order. After an interruption the server's copy of a field is old, so a key that reads fields sends
-their texts along.
+for a page that has heard the server recently: the page answers each beat, and its messages arrive
+in order. After an interruption the server does not know new texts of fields, so a key that needs
+fields sends their texts.
 """
 
 import asyncio
@@ -25,7 +25,7 @@ from starlette.responses import PlainTextResponse
 
 from cnc_interp.client.operator_client import STOPS, Answer
 
-#: The action of a key, and the way a page requests it; the server allows or rejects it.
+#: The action of a key, and the function that executes it if the page may command.
 Act = Callable[[], Awaitable[Answer]]
 Command = Callable[[Act], Awaitable[None]]
 
@@ -41,7 +41,7 @@ WRONG_TOKEN = (
 NO_TOKEN = 'to command, open the page with the address that was printed at start'
 #: Time between beats, and largest age of the last answered beat of a page that is up to date [s].
 BEAT, LATE = 0.5, 5.0
-#: A page whose last answer is older lags and gets no updates until it has caught up [s].
+#: If the last answer of a page is older, the page gets no updates until it has caught up [s].
 LAGS = 1.5
 REMEMBERED = round(2 * LATE / BEAT)  #: Number of beats whose answers are accepted.
 
@@ -75,7 +75,7 @@ class Contact:
             self._heard, self._seen = max(self._heard, beat), bool(seen)
 
     async def _stop(self, event: events.GenericEventArguments) -> None:
-        """Execute a stop at its first request, and answer every request once it is done."""
+        """Execute a stop at its first request; answer all its requests once it is done."""
         name, number = event.args['name'], str(event.args['number'])
         if name not in STOPS:
             return
@@ -112,7 +112,7 @@ def pressing(name: str) -> dict[str, Any]:
 def act_on_shown(
     element: Any, kind: str, fields: Iterable[Any], act: Callable[[], Awaitable[None]]
 ) -> None:
-    """Make an element act on an event, after its fields have taken over the texts on the page."""
+    """On an event, set the fields to the texts shown on the page, then call ``act``."""
 
     async def acted(event: events.GenericEventArguments) -> None:
         shown = event.args if isinstance(event.args, dict) else {}
@@ -130,7 +130,7 @@ UNFRAMED = (
     (b'x-frame-options', b'DENY'),
     (b'content-security-policy', b"frame-ancestors 'none'"),
 )
-FORM = 1 << 16  #: Allowance for what a form adds to an uploaded file [bytes].
+FORM = 1 << 16  #: Allowance for the data that a form adds to an uploaded file [bytes].
 
 
 class Gate:
@@ -201,7 +201,7 @@ class Access:
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def enter(self, tab: str, trusted: bool) -> None:
-        """Admit a page; with the token it takes charge unless another page has it."""
+        """Admit a page; with the token it takes charge, unless another page is in charge."""
         self._pages[tab] += 1
         if trusted and not self._holder:
             self._holder = tab

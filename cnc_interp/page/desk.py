@@ -51,7 +51,7 @@ def is_text(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Moment:
-    """A point of the charts: the largest limit use in a time step, feeds at its end; SI."""
+    """A point of the charts: largest use of limits in a time step, and feeds at its end; SI."""
 
     time: float
     feed: float
@@ -126,7 +126,7 @@ class Desk:
         self._tasks: set[asyncio.Task[None]] = set()
         #: Event loop of the pages, while they exist.
         self.loop: asyncio.AbstractEventLoop | None = None
-        #: Callbacks of the pages, which show a new state in that loop.
+        #: Callbacks with which the pages show a new state in that loop.
         self.pages: set[Callable[[], None]] = set()
         self._peak = np.zeros((3, 0))
         self.nodes = OperatorClient('panel', namespace, domain, self._see_state)
@@ -240,7 +240,7 @@ class Desk:
         )
 
     async def listed(self, take: Callable[[str, str], Awaitable[Answer]], name: str) -> Answer:
-        """Load or queue a program of the folder."""
+        """Read a program of the folder; ``take`` then loads or queues it."""
         try:
             text = await asyncio.to_thread(self.folder.read, name)
         except InterpError as problem:
@@ -422,7 +422,7 @@ class Desk:
         return plan.hits[0] if plan is not None and plan.hits else None
 
     def hit(self) -> tuple[tuple[str, ...], str]:
-        """Return two bodies that hit each other, live or in the plan, and a sentence about it."""
+        """Return the bodies of a hit, live or else in the plan, and a sentence about the hit."""
         if live := tuple(self.nodes.hits.values()):
             return live[0]
         first = self.planned_hit

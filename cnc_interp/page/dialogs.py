@@ -297,7 +297,7 @@ class SetupDialog:
 
 
 async def shown_by(table_is_new: Callable[[], bool]) -> None:
-    """Wait briefly for the new table, which arrives after the answer on another topic."""
+    """Wait briefly for the new table; it arrives after the answer, on another topic."""
     for _ in range(20):
         if table_is_new():
             break

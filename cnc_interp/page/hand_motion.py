@@ -42,20 +42,20 @@ ARROWS = {
     'PageUp': ('Z', 1),
 }
 CROSS = 'XYZ'  #: Axes whose keys form a cross; those of Z are beside it.
-TOOL = 'tool'  #: Name of the motion along the tool among the axes.
-HOLD = 'hold'  #: Replaces a step size if the axis shall move while its key is held.
+TOOL = 'tool'  #: Stands for motion along the tool, in place of the name of an axis.
+HOLD = 'hold'  #: Choice in place of a step size: the axis moves while its key is held.
 SPEED = 1  #: Index of the initial speed, from the slowest.
 AT_END = 1e-6  #: An axis this near to the end of its travel counts as being there [m, rad].
 FILLS = 0.7  #: Time for which a key that starts a rapid must be held [s].
 STALE = 1.2  #: A beat that names an older server beat was too long in transit [s].
-ALARMS = 'machine_node: jog'  #: Source of the messages of motion by hand.
+ALARMS = 'machine_node: jog'  #: Source of messages about motion by hand.
 #: Messages if a held key was released by something other than its user.
 EARLY = 'nothing moves yet: hold the key until it is filled'
 LOST = 'the window or the pointer was lost: check the machine, then press again'
 
 
 def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:
-    """Return the beat that jogs an axis, or along the tool; any other name stops the motion."""
+    """Return the beat to jog an axis, or along the tool; any other name stops the motion."""
     if name == TOOL:
         return Jog(tool=share)
     return Jog(axes=[name], shares=[share]) if name in axes else Jog()
@@ -159,7 +159,7 @@ class JogPad:
         return float(text) * (self._unit.now.size if name == TOOL else self._unit.now.of(name))
 
     def _share(self, name: str) -> float:
-        """Return the share of the velocity limit of an axis, or along the tool [-]."""
+        """Return the chosen speed over the velocity limit of an axis, or along the tool [-]."""
         if name == TOOL:
             most = self._along_tool().limits.axes[0].max_velocity
         else:
@@ -326,7 +326,7 @@ class TouchOffField(NumberFields):
         self._reading_key('touch off', self._touch_off).classes('wide changes')
 
     async def _touch_off(self, values: dict[str, float]) -> None:
-        """Set the active offset; empty fields leave their axis unchanged."""
+        """Set the active offset so that axes read these values; empty fields change nothing."""
         found = {name: value * self._unit.now.of(name) for name, value in values.items()}
 
         async def touched() -> Answer:

@@ -36,7 +36,7 @@ from cnc_interp.wire.run_messages import in_program
 #: Least time between shown states [s]; number of states between updates of the charts.
 PACE, CHART_EVERY = 0.1, 4
 EARLY = 0.02  #: A state may be shown this much early [s].
-STALE = 0.5  #: Other changes are shown after this time [s].
+STALE = 0.5  #: Interval of updates if no state arrives [s].
 
 
 outlined = partial(key, colour='primary', look='dense outline')

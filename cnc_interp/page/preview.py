@@ -66,7 +66,7 @@ class Preview:
     rapid: BoolArray  #: (N,): Whether that block is a rapid.
     line: IntArray  #: (N,): Its line of the program.
     cycle_time: float  #: Duration of the whole program [s].
-    run_time: float = 0.0  #: With the times of changes, dwells and the spindle [s].
+    run_time: float = 0.0  #: Duration with tool changes, dwells and the spindle [s].
     tools: tuple[dict[str, Any], ...] = ()  #: Times by tool, as in summary.json.
     notices: tuple[str, ...] = ()  #: Words that had no effect or were simplified.
     hits: tuple[PlannedHit, ...] = ()  #: Hits of the program, if the plan has a scene.
@@ -171,7 +171,7 @@ class Planner:
         see_progress: Callable[[str], None],
         setup: str = '',
     ) -> Preview:
-        """Plan a program of ``keep``; InterpError carries the messages of `plan`, one per line."""
+        """Plan a program from ``keep``; InterpError has the messages of `plan`, one per line."""
         if setup:
             file = Path(self._folder.name) / '.offsets and tools.yaml'
             file.write_text(setup, encoding='utf-8')

@@ -11,7 +11,7 @@ from cnc_interp.page.contact import Command, key
 from cnc_interp.page.desk import Desk
 from cnc_interp.page.program_folder import LONGEST_EDITED
 
-AGREED = 'overwrite'  #: Label of the save key if another program has the name.
+AGREED = 'overwrite'  #: Label of the save key if another program already has this name.
 
 
 class FolderDialog:

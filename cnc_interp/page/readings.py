@@ -222,7 +222,7 @@ class Messages:
 class ShownUnit:
     def __init__(self) -> None:
         self.now = self.before = MILLIMETRES
-        #: Texts of the page's fields at the time of the choice, by their marks.
+        #: Texts of the page's fields when the unit was chosen, by their marks.
         self.texts: dict[str, str] = {}
         self._followers: list[Callable[[LengthUnit], None]] = []
 

@@ -276,7 +276,7 @@ class MachineView:
         ui.run_javascript(f'scene.show_done({", ".join(map(json.dumps, words))})')
 
     def show_way(self, way: WayThere | None) -> None:
-        """Show the approach to a position inside the program in full; None removes it."""
+        """Show the whole approach to a position inside the program; None removes it."""
         legs = way.legs if way is not None else ()
         if legs is self._legs or self._path is None:
             return

@@ -31,7 +31,7 @@ from cnc_interp.page.program_folder import LONGEST_PROGRAM, program_text
 from cnc_interp.processes.stop_signals import stops_later
 
 PACKAGE = Path(__file__).resolve().parents[1]  #: Folder of this package.
-#: The scripts in loading order, and the values for the names in capitals in them.
+#: The scripts in loading order, each with the values for its names in capitals.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
     'listing': {},

@@ -26,7 +26,7 @@ MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 @dataclass(frozen=True)
 class StartChoice:
     line: int = 0  #: Line of the program; 0 for its top.
-    which: int = 0  #: Execution of that line, from 1; 0 for the only one.
+    which: int = 0  #: Number of the execution of that line, from 1; 0 if there is only one.
     refused: str = ''  #: Why the start there was rejected; empty before the attempt.
 
     @property
@@ -42,7 +42,7 @@ class StartChoice:
 
 @dataclass(frozen=True)
 class WayThere:
-    #: Name of each part, and the tool tip on it in W, shape (k, 3) [m].
+    #: Name of each leg, and tool tips along it in W, shape (k, 3) [m].
     legs: tuple[tuple[str, FloatArray], ...]
     text: str  #: Note for the operator before the motion; empty once it moves.
 

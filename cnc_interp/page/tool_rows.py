@@ -89,7 +89,7 @@ class ToolRows:
         await self._dialog.ask('set_tool', number=number, fields=list(values), **values)
 
     async def _touch(self, number: int) -> None:
-        """Set the tool length so that Z reads the value of the field here: G10 L10."""
+        """Set the length of a tool so that Z now reads the value of the field (G10 L10)."""
         found = self._dialog.values({'Z': (TOUCH, self._unit.size)})
         if found is not None:
             unit = 'G21' if self._unit.digits == 3 else 'G20'

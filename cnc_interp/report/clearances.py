@@ -24,7 +24,7 @@ PLACES, PAIRS, PICTURES = 400, 12, 12  #: Most setpoints, pairs and hits that ar
 
 
 def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
-    """Return the section of a plan with a scene; '' without one, or if its file is missing."""
+    """Return the section about clearances; '' if the plan has no scene or no clearance check."""
     file = Path(str(plan.settings.get('scene') or ''))
     if not plan.collision or not file.name:
         return ''
@@ -51,7 +51,7 @@ def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
 
 
 def _hits(placed: Placed, plan: PlanFiles) -> list[int]:
-    """Return the rows of hits; near the uncut stock, the remaining stock decides."""
+    """Return the rows of hits, without hits of a stock that is cut along the path."""
     pair = placed.pieces.body[plan.collision['pair']]
     hits = np.flatnonzero(plan.collision['hit']).tolist()
     return [row for row in hits if not stock_is_cut(placed, *pair[row])]
@@ -60,7 +60,7 @@ def _hits(placed: Placed, plan: PlanFiles) -> list[int]:
 def distances(
     placed: Placed, machine: Machine, plan: PlanFiles, pairs: list[tuple[int, int]], rows: Any
 ) -> FloatArray:
-    """Return the distance of pairs of bodies at setpoints, (rows, pairs) [m]; NaN if absent."""
+    """Return distances of pairs of bodies at setpoints, (rows, pairs) [m]; NaN if not there."""
     tool = tools_at(plan, machine.signals, placed.scene.first_tool, plan.block[rows])
     found, space = np.full((len(rows), len(pairs)), np.nan), space_of(placed)
     pose = np.empty((len(placed.names), 12))

@@ -301,7 +301,7 @@ def _view(
 
 
 def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return parameters of a corner, each break twice, and parameters inside their pieces."""
+    """Return parameters along a corner, breaks twice, and the middle of the span of each."""
     breaks = kinds.corner_breaks(parametrization)
     u, inside = [], []
     for low, high in pairwise(breaks):

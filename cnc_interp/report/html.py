@@ -99,7 +99,7 @@ INK, GRID = '#22303c', '#e6eaee'
 BLUE, ORANGE, RED = '#1f6fb2', '#e08a1e', '#c0392b'
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 BUCKETS = 600  #: Buckets of thinned curves over the whole width; each keeps its extremes.
-#: Largest ratio of the upper end of a feed axis to the feed: Eq. 10 is infinite on lines.
+#: Largest ratio of the upper end of a feed axis to the feed, because Eq. 10 is infinite on lines.
 HEADROOM = 1.45
 #: Hover text of a feed; its custom data are time, way and line.
 AT_PLACE = (

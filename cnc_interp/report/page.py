@@ -43,7 +43,7 @@ DEVIATIONS = {
         ('orientation deviation', 'orientation deviation of path', 'vertex missed by top'),
     ),
 }
-NAMED = 3  #: Largest number of limits that the answer names.
+NAMED = 3  #: Largest number of limits that the summary sentence names.
 
 #: Rows of the table: label, unit, number format, and the figure of a plan.
 ROWS: tuple[tuple[str, str, str, Callable[[ExaminedPlan], float]], ...] = (

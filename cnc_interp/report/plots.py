@@ -16,7 +16,7 @@ from cnc_interp.report.series import KINDS, Series, extremes
 #: Buckets of the small figures of the axes, and of the tool path in space.
 SMALL_BUCKETS, SPACE_BUCKETS = 250, 2500
 TOOL_LINES = 160  #: Number of tool axes in the figure of the tool path.
-MOST_SWITCHES = 2000  #: More marks of functions are thinned.
+MOST_SWITCHES = 2000  #: If there are more marks of functions, they are thinned.
 
 
 def path_figure(series: Series) -> Any:

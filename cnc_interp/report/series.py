@@ -144,7 +144,7 @@ def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray
 
 
 def extremes(values: FloatArray, buckets: int) -> IntArray:
-    """Choose rows that preserve a curve: of each bucket first row, minima and maxima."""
+    """Choose rows that preserve a curve: the first row, minima and maxima of each bucket."""
     table = values.reshape(len(values), -1)
     count = len(table)
     if count <= buckets * (1 + 2 * table.shape[1]):
@@ -161,9 +161,9 @@ def extremes(values: FloatArray, buckets: int) -> IntArray:
     return rows
 
 
-AT_LIMIT = 0.98  #: A limit is reached from this share on [-].
-#: The error of the drives, which is predicted by a model, counts as a limit from this share on
-#: [-].
+AT_LIMIT = 0.98  #: A limit counts as reached at this use and above [-].
+#: The limit on the error of the drives counts as reached at this use and above, because a model
+#: predicts the error [-].
 NEAR_LIMIT = 0.9
 LISTED = 12
 NO_LIMIT = 'between limits'
@@ -182,7 +182,7 @@ def at_limits(use: FloatArray, axis_names: tuple[str, ...]) -> dict[str, BoolArr
 class TimeLost:
     """Time lost compared with the programmed feed; rapids lose none."""
 
-    total: float  #: Of the whole motion [s].
+    total: float  #: Time lost in the whole motion [s].
     #: For each limit: time at it, and the time lost then [s]. Several limits at once share the
     #: lost time.
     by_limit: dict[str, tuple[float, float]]

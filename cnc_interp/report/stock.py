@@ -59,7 +59,7 @@ def stock_section(plan: PlanFiles) -> str:
 
 
 def _rest(plan: PlanFiles) -> str:
-    """Return the part, coloured by the remaining excess; '' without a part."""
+    """Return a drawing of the part, coloured by the excess material; '' without a part."""
     if not plan.rest:
         return ''
     place, excess = (np.asarray(plan.rest[key]) / MM for key in ('place', 'excess'))

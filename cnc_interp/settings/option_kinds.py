@@ -21,7 +21,7 @@ Value = float | int | bool | str | Path | None
 
 
 class Stage(enum.Enum):
-    """The stage of the chain that uses a choice."""
+    """The processing stage that uses a setting."""
 
     READING = 'reading'
     SMOOTHING = 'smoothing'
@@ -53,7 +53,7 @@ class Choice:
     name: str  #: Name of the field, of the ROS parameter and of the key in a goal.
     kind: type  #: float, int, bool, str or Path.
     default: Value  #: Default value [SI].
-    stage: Stage  #: Stage of the chain that uses it.
+    stage: Stage  #: Processing stage that uses it.
     sentence: str  #: Description, one plain sentence without a full stop.
     option: str  #: Name on the command line, without the dashes.
     unit: Unit = PLAIN  #: Unit on the shop floor.
@@ -109,7 +109,7 @@ class Choice:
         return self._read(text, self.unit.size)
 
     def text(self, value: Value) -> str:
-        """Return a value as exact text in SI; None is the word for nothing."""
+        """Return a value as exact text in SI; None becomes the word in ``nothing``."""
         if value is None:
             return self.nothing
         if isinstance(value, bool):
@@ -135,13 +135,13 @@ class Choice:
         return f'{self.text(value)} {unit}'.rstrip()
 
     def plain(self, value: Value) -> float | int | bool | str:
-        """Return a value as a ROS parameter, which is never None: 0 or empty instead."""
+        """Return a value as a ROS parameter; None becomes 0 or an empty text."""
         if value is None:
             return 0.0 if self.kind is float else ''
         return self.text(value) if isinstance(value, Path) else value
 
     def from_plain(self, value: float | int | bool | str) -> Any:
-        """Read the value of a ROS parameter; 0 or empty may be None; raises SettingsError."""
+        """Read the value of a ROS parameter; 0 or empty may mean None; raises SettingsError."""
         found: Value = None if self.optional and not value else value
         if self.kind is Path and isinstance(found, str):
             found = Path(found)
@@ -219,7 +219,7 @@ def _declare(kind: type, default: Value, stage: Stage, sentence: str, **more: An
 
 
 def choices(settings: Any, *stages: Stage) -> tuple[Choice, ...]:
-    """Return the choices of a settings class, or of its object, in their order."""
+    """Return the declared settings of a settings class or object, in their order."""
     found = (_choice(field) for field in fields(settings))
     return tuple(choice for choice in found if not stages or choice.stage in stages)
 

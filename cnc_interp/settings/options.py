@@ -212,7 +212,7 @@ class Settings:
 
     @property
     def compares_corners(self) -> bool:
-        """Return whether corners are made in a way that exists for comparison only."""
+        """Return whether a method for comparison only is selected for the corners."""
         exact = self.parametrization in ('auto', 'exact')
         return (self.corner, exact, self.top, self.septic) != ('default', True, 'in_step', False)
 
@@ -231,7 +231,7 @@ def values_of(settings: Settings) -> dict[str, kinds.Value]:
     return {k: str(v.resolve()) if hasattr(v, 'resolve') else v for k, v in found.items()}
 
 
-#: Settings in records of earlier versions, with the only value that still exists.
+#: Settings that only older records contain, each with the one value that is still supported.
 GONE = (('law', 'optimal'),)
 
 
@@ -262,10 +262,10 @@ def offered() -> tuple[kinds.Choice, ...]:
 
 
 def filled_in(settings: Settings) -> dict[str, str]:
-    """Return the contents of the fields, in shop units."""
+    """Return the contents of the page's fields for settings, in shop units."""
     return {choice.name: choice.shop_text(getattr(settings, choice.name)) for choice in offered()}
 
 
 def settings_filled_in(settings: Settings, texts: Mapping[str, str]) -> Settings:
-    """Return settings with the fields of the form, in shop units; raises SettingsError."""
+    """Return settings with the texts of the page's fields, in shop units; raises SettingsError."""
     return replace(settings, **{c.name: c.from_shop(texts[c.name]) for c in offered()})

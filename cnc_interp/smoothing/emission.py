@@ -1,4 +1,4 @@
-"""Classified vertices to segments: the remaining lines, the corners and the spans of curves."""
+"""Convert classified vertices to segments: remaining lines, corners and spans of curves."""
 
 from dataclasses import dataclass
 
@@ -72,7 +72,7 @@ class Emission:
         )
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
-        """Return the vertex before each line between corners or rotation, and these segments."""
+        """Return the vertex before each line or rotation between corners, and their segments."""
         rows, legs, outer, stop = self.rows, self.legs, self.outer, self.vertex == STOP
         blocks = rows.blocks
         start, end = outer[:last, 1], legs.length[:last] - outer[1 : last + 1, 0]
@@ -188,10 +188,10 @@ class Emission:
         return np.where(moved.any(axis=1), np.sqrt(turned**2 + (moved**2).sum(axis=1)), turned)
 
     def _longer(self, rows: IntArray) -> FloatArray:
-        """Return path length over tip length: 1, or at flank height where the tool swivels.
+        """Return path length over tip length: 1, or more where the tool swivels, at flank height.
 
-        Measured by the travel of the tip, rotary axes would turn by up to 1e8 rad/m, so that
-        rounding a place on the path would make the axes jump.
+        Per travel of the tip, rotary axes would turn by up to 1e8 rad/m, so that a rounding error
+        of the path position would make the axes jump.
         """
         legs, swivels = self.legs, self.legs.swivels[rows]
         turned = self.style.height * legs.turn[rows]
@@ -211,13 +211,13 @@ class Emission:
         return found
 
     def _orientation_tolerance(self, rows: IntArray) -> FloatArray:
-        """Return the orientation tolerances at vertices, the smaller one of both blocks [m]."""
+        """Return the orientation tolerance at vertices: the smaller one of both blocks [m]."""
         column = self.rows.blocks.orientation_tolerance
         after = np.minimum(rows + 1, len(column) - 1)
         return np.asarray(np.minimum(column[rows], column[after]))
 
     def _least_tolerance(self, rows: IntArray) -> FloatArray:
-        """Return the smaller tolerance of both ends of the blocks after these vertices [m]."""
+        """Return the smaller orientation tolerance of both ends of blocks after vertices [m]."""
         ends = self._orientation_tolerance(rows), self._orientation_tolerance(rows + 1)
         return np.asarray(np.minimum(*ends))
 

@@ -58,7 +58,7 @@ class LookAhead:
         return self._take(self._compressor.finish(joined), final=True)
 
     def whole(self, blocks: Blocks) -> PathSegments:
-        """Return the segments of all blocks, as ``push`` and ``finish``, but at once."""
+        """Return the segments of all blocks at once; ``push`` and ``finish`` give the same."""
         rows = [self._compressor.push(blocks), self._compressor.finish()]
         return self._take(Rows.concatenate(rows), final=True)
 
@@ -106,7 +106,7 @@ class LookAhead:
 
     @staticmethod
     def _available(lines: Rows, legs: Legs, rows: IntArray) -> FloatArray:
-        """Return how much of the lines before and after corners they may use, (n, 2) [m]."""
+        """Return the length that corners may use of the lines on both sides, (n, 2) [m]."""
         # A line with a curve at its other end belongs to one corner only.
         alone = np.stack([lines.smooth[rows], lines.leads[rows + 1]], axis=1)
         half = np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)

@@ -13,13 +13,13 @@ from cnc_interp.settings.options import Settings
 #: this number of blocks on each side.
 REACH, NEAR = 1e-3, 8
 HELD = NEAR + 1  #: Rows that wait for later rows, unless the tool rests between.
-KEPT = HELD + NEAR + 2  #: Rows that a pacer keeps: these, and those before them.
+KEPT = HELD + NEAR + 2  #: Rows that a pacer keeps: the waiting rows, and those before them.
 
 
 def pace_limits(
     pace: BlockPace, length: FloatArray, turn: FloatArray, feed: FloatArray
 ) -> FloatArray:
-    """Return the largest mean speeds; ``turn`` (n,): from block to block [rad].
+    """Return the largest mean speeds on blocks; ``turn`` (n,): from block to block [rad].
 
     A control changes the velocity at a vertex between two blocks by at most ``jump``, so the speed
     there is v = jump / (2 sin(turn / 2)). On the block between two vertices the speed rises and
@@ -42,7 +42,7 @@ def rise_root(v: FloatArray, length: FloatArray, jerk: float) -> FloatArray:
 
 
 def mean_turns(length: FloatArray, turn: FloatArray, stop: BoolArray) -> FloatArray:
-    """Return the turns of blocks if the path near each were bent evenly, all (n,) [m, rad].
+    """Return the turns of blocks, averaged over the path near each; all (n,) [m, rad].
 
     In records, a control slows down half as much for ten chords at the end of a slot as for the
     same chords in a full circle, because it judges the path over some length, not vertex by

@@ -26,7 +26,7 @@ from cnc_interp.smoothing.upright import Upright
 class PathSmoother:
     """Smooth a stream of blocks. The result does not depend on how the stream is divided.
 
-    Without a ``choice`` between the alternatives that it proposes, every corner is rounded.
+    ``choice`` selects one of the proposed alternatives; without it, every corner is rounded.
     """
 
     def __init__(self, settings: Settings, machine: MachineTraits, choice: Choice | None = None):

@@ -36,11 +36,11 @@ from cnc_interp.smoothing.dense.skeleton import Skeleton
 from cnc_interp.smoothing.orientation import angles_between
 
 BEFORE, AFTER = 3, 6  #: Most lines of an alternative before and after its corner.
-#: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].
+#: A stop is tried at corners where the outer rotary axis may turn faster on one side [rad/m].
 FAST = 2.0 / MM
-SHARP = 160.0 * DEG  #: A corner is tried where the path turns more than this [rad].
-MICRO = 3.0 * UM  #: A corner is tried beside a line shorter than this [m].
-#: Most blocks of a run that is tried; length below which a run is always tried [tolerances].
+SHARP = 160.0 * DEG  #: A stop is tried at corners where the path turns more than this [rad].
+MICRO = 3.0 * UM  #: A stop is tried at corners beside a line shorter than this [m].
+#: Most blocks of a run that is tried as lines; a run shorter than this always is [tolerances].
 MOST_BLOCKS, TINY = 8, 15.0
 
 
@@ -57,7 +57,7 @@ Choice = Callable[[Sequence[Way], Sequence[Way]], bool]
 
 
 def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
-    """Return at which vertices a rounded corner may be slower than a stop."""
+    """Return True for vertices at which a rounded corner may be slower than a stop."""
     found = np.zeros(len(rows), dtype=np.bool_)
     found[1:-1] = np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
     found[1:-1] |= turns_fast(rows.blocks, legs, height, machine)
@@ -70,7 +70,7 @@ def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> B
 
 
 def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
-    """Return at which inner vertices the outer rotary axis may turn fast on one side."""
+    """Return True for inner vertices at which the outer rotary axis may turn fast on one side."""
     turn = np.maximum(legs.turn[:-1], legs.turn[1:])
     rate = norm(legs.rate)
     rate = np.maximum(rate[:-1], rate[1:])
@@ -97,7 +97,7 @@ def may_be_slow(
 def ways_of_run(
     skeleton: Skeleton, start: int, last: int, height: float, machine: MachineTraits
 ) -> tuple[list[Way], list[Way]]:
-    """Return a run as lines, at a doubtful corner also as stops, and as a curve."""
+    """Return two sets of alternatives for a run: as lines, with or without stops; as a curve."""
     first = start if skeleton.stop[start] else start - 1
     end = last if skeleton.stop[last] else last + 1
     blocks = skeleton.blocks[first : end + 1]
@@ -117,7 +117,7 @@ class StopChoice:
         self._plain = np.zeros(0, dtype=np.bool_)  # which of them are lines of poses
 
     def decide(self, rows: Rows, legs: Legs, vertex: IntArray, final: bool) -> int:
-        """Turn rounded corners into stops where that is faster; return how many are decided."""
+        """Turn rounded corners into stops where that is faster; return how many rows are final."""
         known = rows.blocks.corner
         vertex[(vertex == ROUND) & (known == STOP_CORNER)] = STOP
         tried = (vertex == ROUND) & (known == OPEN_CORNER)
@@ -154,7 +154,7 @@ class StopChoice:
         self._stops = {key: stop for key, stop in self._stops.items() if key > row}
 
     def _decided(self, rows: Rows, vertex: IntArray) -> tuple[Blocks, BoolArray]:
-        """Return the rows and those before them, with their stops; and which are lines."""
+        """Return the rows, and those before them, with their stops; and which rows are lines."""
         blocks = replace(rows.blocks, exact_stop=vertex[: len(rows)] == STOP)
         plain = _plain(rows)
         if self._past is None:

@@ -9,9 +9,9 @@ from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
-#: Part of the orientation tolerance that may be used [-], and the most at flank height [m].
+#: Largest move of one tool axis: share of the orientation tolerance [-], and length [m].
 SHARE, MOST = 0.05, 0.5 * UM
-WANDER = 0.8  #: Part of the orientation tolerance that may be used at both ends of a block [-].
+WANDER = 0.8  #: Larger share that may be used if both ends of a block move onto the pole [-].
 
 
 class Upright:
@@ -23,14 +23,14 @@ class Upright:
         self._moved = 0.0  # how far the last tool axis was moved, at flank height [m]
         self._away = np.inf  # of the last tool axis from the pole, at flank height [m]
         self._row = 0
-        #: Used tolerances, and the tolerances, by program row [m].
+        #: For each program row: used part of the orientation tolerance, and the tolerance [m].
         self._used: dict[int, tuple[float, float]] = {}
         self._waiting: Blocks | None = None  # a block that may be the last one
 
     def push(self, blocks: Blocks) -> Blocks:
         """Return blocks whose tool axes are moved onto the pole if they were nearly on it.
 
-        The last row may come with the next call. The start pose, exact stops, rows that name
+        The last row may be returned by the next call. The start pose, exact stops, rows that name
         rotary positions, rows whose rotary axes run linearly, control points, and rows before a
         spline keep their tool axes.
         """
@@ -56,14 +56,14 @@ class Upright:
         return self._moved_to_pole(blocks, near, np.where(near, away, 0.0))
 
     def finish(self) -> Blocks | None:
-        """Return the row that still waits; the program ends with it, and its tool axis stays."""
+        """Return the row that still waits; the last row of a program keeps its tool axis."""
         waiting, self._waiting = self._waiting, None
         if waiting is None:
             return None
         return self._moved_to_pole(waiting, np.zeros(1, dtype=np.bool_), np.zeros(1))
 
     def counted(self, segments: PathSegments) -> PathSegments:
-        """Return consecutive segments whose deviation is measured from the program.
+        """Return segments whose deviation includes the moves of tool axes onto the pole.
 
         A span of a curve may reach a little beyond the blocks that it names.
         """
@@ -100,5 +100,5 @@ class Upright:
 
 
 def _least(tolerance: FloatArray) -> FloatArray:
-    """Return the smaller tolerance of both blocks at each tool axis; the last has one."""
+    """Return the smaller tolerance of the blocks before and after each tool axis."""
     return np.minimum(tolerance, np.append(tolerance[1:], np.inf))

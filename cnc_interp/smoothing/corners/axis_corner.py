@@ -29,7 +29,7 @@ from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
 from cnc_interp.smoothing.corners import corner_curve
 
-#: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
+#: Indices of X Y Z (or the tip), of the rotary axes and of the extra axes in the coordinates.
 POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
 _BISECTIONS = 45  #: Bisections for the middle of a corner.
 _PLACES = np.linspace(0.1, 0.9, 33)  #: Parameters at which the curve may pass the vertex.
@@ -85,13 +85,14 @@ def size_of(step: FloatArray, height: float) -> FloatArray:
 class AxisCorners:
     """Corners between lines in coordinates, at n vertices."""
 
-    row: IntArray  #: (n,): Vertices.
+    row: IntArray  #: (n,): Rows of the vertices.
     #: (n,): Whether both lines can be expressed in the same coordinates. If not, the tool must
     #: rest.
     joined: BoolArray
     in_axes: BoolArray  #: (n,): Whether the coordinates are machine axes.
     point: FloatArray  #: (n, 5 + k): Coordinates of the corners [m, rad].
-    #: (n, 2, 5 + k): Their change per metre from the corner along the lines before and after it.
+    #: (n, 2, 5 + k): Change of coordinates per metre from the corner along the lines on both
+    #: sides.
     legs: FloatArray
     tolerances: FloatArray  #: (n, 2): Contour and orientation tolerance [m].
     #: (n, 2, 2): Distance of tip and top point from both rotary axes [m]; 0 if X Y Z are those of
@@ -155,7 +156,7 @@ class AxisCorners:
         return size_of(self.legs.sum(axis=1), self.height)
 
     def gains(self, outer: FloatArray, way: FloatArray) -> FloatArray:
-        """Bound how far tip and orientation move along directions, shape (n, 2) [-]."""
+        """Bound the motion of tip and orientation per step along ``way``, shape (n, 2) [-]."""
         way = np.abs(way)
         reach = outer[:, :, None] * np.abs(self.legs)
         gone = (norm(reach[..., POINT]) + reach[..., EXTRA].sum(axis=-1)).max(axis=1)
@@ -171,7 +172,7 @@ class AxisCorners:
         return np.stack([moved[:, 0], np.maximum(moved[:, 1], turned)], axis=1)
 
     def deviation(self, inner: FloatArray, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Bound both deviations of corners (n, 2) [m], and the largest use of both (n,)."""
+        """Bound both deviations of corners (n, 2) [m], and the larger use of a tolerance (n,)."""
         ways = self.legs[:, 0], self.legs[:, 1], self.legs.sum(axis=1)
         gains = [self.gains(outer, way) for way in ways]
         deviation = np.stack(
@@ -210,7 +211,7 @@ class AxisCorners:
         return self.fit(inner, outer, ratios)[:2]
 
     def curves(self, inner: FloatArray, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Build the corners for L1, shape (n,), which may shrink, and L2, shape (n, 2) [m]."""
+        """Build corners with L1, shape (n,), and L2, shape (n, 2) [m]; L1 may shrink."""
         inner, _, deviation = self.fit(inner, outer)
         ways = [outer[:, 0], inner, np.zeros(len(inner)), inner, outer[:, 1]]
         points = [

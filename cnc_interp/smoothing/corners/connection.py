@@ -78,7 +78,7 @@ def poses(curves: Curves, u: float) -> tuple[FloatArray, FloatArray]:
 
 
 def connect(curves: Curves, height: float, axes: FloatArray, rates: FloatArray) -> None:
-    """Compute E and f of corners in place, so that tip and axis are smooth: ``exact``."""
+    """Compute E and f of corners in place (``exact``), so that tip and axis are smooth."""
     ends = (
         End(curves.bottom, curves.top, height, axes[:, 0], rates[:, 0]),
         End(curves.bottom[:, ::-1], curves.top[:, ::-1], height, axes[:, 1], -rates[:, 1]),
@@ -101,7 +101,7 @@ def connect(curves: Curves, height: float, axes: FloatArray, rates: FloatArray) 
 
 
 class End:
-    """One end of many corners, seen towards the corner.
+    """One end of many corners; derivatives are taken from the end towards the corner.
 
     On the line o_s = w k x o, o_ss = -w^2 o and o_sss = -w^2 o_s [B2013, Eq. 4]. s(u) is the arc
     length of the bottom curve.

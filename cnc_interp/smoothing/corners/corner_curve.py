@@ -213,7 +213,7 @@ GROWTH, LARGEST = 0.5, 4.0
 
 
 def ratios_at(corners: Corners, height: float, axis_rates: AxisRates | None) -> FloatArray:
-    """Return L2/L1 on both sides of corners [B2013, 2.2]; without axes, for tip and top point."""
+    """Return L2/L1 on both sides of corners [B2013, 2.2], for axes or for tip and top point."""
     steps = -corners.legs[:, 0], corners.legs[:, 1]
     swings = [height * cross(corners.rates[:, side], corners.axis) for side in (0, 1)]
     found = best_ratios(

@@ -71,12 +71,12 @@ class Legs:
 
     @property
     def swivels(self) -> BoolArray:
-        """Return in which blocks the tip hardly moves while the tool turns, shape (n,)."""
+        """Return True for blocks in which the tip hardly moves while the tool turns, (n,)."""
         return np.asarray(~self.resting & (self.turn > SWIVEL * self.length))
 
     @property
     def still(self) -> BoolArray:
-        """Return in which blocks of poses only the tip moves, shape (n,)."""
+        """Return True for blocks of poses in which only the tip moves, (n,)."""
         still = ~self.resting & (self.turn == 0.0) & ~self.extra_step.any(axis=1)
         return np.asarray(still if self.axes is None else still & ~self.axes.linear)
 

@@ -65,7 +65,7 @@ class Compressor:
         return self._advance(final=False)
 
     def finish(self, joined: bool = False) -> Rows:
-        """Return the rest; if a native spline follows (``joined``), the last block is a line."""
+        """Return the last rows; if a native spline follows (``joined``), they end with a line."""
         if self._enabled:
             self._builder.push(None, final=True, joined=joined)
         return self._advance(final=True)
@@ -142,7 +142,7 @@ class Compressor:
         leads: bool = False,
         off: FloatArray | None = None,
     ) -> None:
-        """Send the line to vertex k, or the part of it before or after a curve."""
+        """Add the line to vertex k, or its part before or after a curve, to the output."""
         skeleton, tolerance = self._skeleton, self._skeleton.tolerance[k]
         off = skeleton.used[k] if off is None else off
         feed = skeleton.blocks.feedrate[k]

@@ -17,9 +17,9 @@ STANDSTILL = 0.5e-9
 
 
 def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
-    """Return how far poses are apart: tip, tool axis, rotary and extra axes, shape (n,) [m].
+    """Return the distance of poses: of tip, tool axis, rotary and extra axes, shape (n,) [m].
 
-    Rotary positions that are named only after the block may be anywhere: the distance is infinite.
+    If only the rotary positions at the end are known, the distance is infinite.
     """
     begin = np.where(np.isnan(before.rotary), after.rotary_from, before.rotary)
     turn = np.abs(after.rotary - begin)
@@ -34,7 +34,7 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
 
 
 def settled(blocks: Blocks, before: Blocks, height: float) -> Blocks:
-    """Put the end of each block that does not move on the end of the block before it.
+    """Move the end of each block without motion to the end of the block before it.
 
     So the path continues from there without a step. Small steps may add up to a motion, so
     distances are measured from the last end that moved. The next block takes the smaller
@@ -89,7 +89,7 @@ class Rows(Table):
 
     #: End pose and programmed data of each row. Tolerances are reduced by ``used``.
     blocks: Blocks
-    row: IntArray = column()  #: Program row in which, or at whose end, the row ends.
+    row: IntArray = column()  #: Program row that contains the end of this row.
     #: Contour and orientation deviation of a line from the blocks that it replaces [m].
     used: FloatArray = column(2)
     #: Whether a curve joins the previous row smoothly at the start of this row.
@@ -112,7 +112,7 @@ class Rows(Table):
         )
 
     def moving(self, height: float) -> Rows:
-        """Leave out lines that do not move; the row before them takes their exact stops."""
+        """Return rows without lines that do not move; their exact stops go to the row before."""
         line = (self.count == 0) & ~self.smooth & ~self.leads
         way = way_between(self.blocks[:-1], self.blocks[1:], height)
         at = np.flatnonzero(np.append(True, ~line[1:] | (way >= STANDSTILL)))

@@ -15,7 +15,7 @@ from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.dense.thinning import FIXED, LONG, SHORT, Vertices
 from cnc_interp.smoothing.orientation import rotations_between
 
-#: Poses of a curve with a smaller difference are one pose [m]; small steps do not add up here.
+#: Poses of a curve with a smaller difference count as one pose [m]; each step is judged alone.
 REPEATED = 0.1 * STANDSTILL
 LONGEST = 500.0  #: A block longer than this always stays a straight line [tolerances].
 #: Smallest movement of the tip on a curve, as part of the movement of the top [-].
@@ -26,10 +26,10 @@ LEAST_TIP = 0.02
 class Skeleton:
     """The vertices of the skeleton, one row each. The segment of a row ends at its vertex."""
 
-    #: Programmed data at the vertices; a feed is that of all rows that a line replaces.
+    #: Programmed data at the vertices; a feed covers all rows that a line replaces.
     blocks: Blocks
     top: FloatArray  #: (n, 3): Top points: points on the tool axis at flank height [m].
-    row: IntArray  #: (n,): Program rows.
+    row: IntArray  #: (n,): Program row of each vertex.
     #: (n, 2): Contour and orientation deviation of the segment from the rows it replaces [m].
     used: FloatArray
     feed: FloatArray  #: (n,): Programmed speed of the tip on the segment [m/s].
@@ -102,7 +102,7 @@ class SkeletonBuilder:
         self.skeleton: Skeleton | None = None
 
     def push(self, blocks: Blocks | None, final: bool, joined: bool = False) -> None:
-        """Add blocks; if a native spline follows (``joined``), the last one stays a line."""
+        """Add blocks; if a native spline follows (``joined``), the last block stays a line."""
         known = [part for part in (self._raw, blocks) if part is not None]
         if not known:
             return
@@ -260,8 +260,8 @@ class SkeletonBuilder:
     def _feeds(self, raw: Blocks, before: IntArray, kept: IntArray) -> FloatArray:
         """Return distance / time of the rows between vertices, shape (m,) [m/s].
 
-        If all feeds are equal, the result is exactly F. The feed is never above F of the last row,
-        because only that row may be longer than the tolerance.
+        If all rows have the same feed F, the result is exactly F. The feed is never above F of the
+        last row, because only that row may be longer than the tolerance.
         """
         length = np.concatenate([[0.0], norm(np.diff(raw.tip, axis=0))])
         timed = np.isfinite(raw.duration)

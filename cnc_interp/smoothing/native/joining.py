@@ -29,7 +29,7 @@ from cnc_interp.smoothing.orientation import rotations_between
 
 #: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
 SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
-SHARPEST = 0.1  #: Above this angle between the directions at a join, the tool rests [rad].
+SHARPEST = 0.1  #: The tool rests at a join if the directions differ by more than this angle [rad].
 MOST_HALVINGS = 12  #: Largest number of times that a span is halved for a join.
 
 
@@ -206,7 +206,7 @@ def absorbed(
     height: float,
     halvings: int = MOST_HALVINGS,
 ) -> list[Piece] | None:
-    """Return pieces with the derivatives of the neighbours; None beyond the tolerances [m]."""
+    """Give a span its neighbours' derivatives, halving it if necessary; None beyond tolerance."""
     if first is None and last is None:
         return [piece]
     points = piece.connection.shape[1]

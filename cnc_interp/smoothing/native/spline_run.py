@@ -44,8 +44,8 @@ class SplineRun:
     def push(self, rows: Blocks) -> PathSegments | None:
         """Add control points and return the segments that later ones cannot change.
 
-        Raises BlockError if the curve does not begin at the tool, the tip stands still in it, or
-        its knots interrupt it.
+        Raises BlockError if the curve does not start at the tool position, the tip stands still in
+        it, or repeated knots interrupt it.
         """
         if self._rows is None:
             self._check_begin(rows)
@@ -83,7 +83,7 @@ class SplineRun:
         return self._segments(pieces, end=True)
 
     def _check_begin(self, rows: Blocks) -> None:
-        """Raise BlockError if the curve does not start at the tool or its knots do not fit."""
+        """Raise BlockError if the curve does not start at the tool, or its knots do not fit."""
         line = int(rows.line_number[0])
         gap = max(
             float(np.abs(rows.tip[0] - self._pose.tip[0]).max()),
@@ -162,7 +162,7 @@ class SplineRun:
             )
 
     def _meet(self, piece: Piece, done: list[tuple[Piece, bool]]) -> None:
-        """Add the next span, and close the end of the span before it."""
+        """Accept the next span, and finish the span before it."""
         taken = None
         if self._held is None:
             self.flows, taken = self._opening(piece, self._before)
@@ -180,7 +180,7 @@ class SplineRun:
         self._held = piece, taken
 
     def _opening(self, piece: Piece, before: Jets | None) -> tuple[bool, Jets | None]:
-        """Return whether the path continues into a piece, and return the jets that it takes."""
+        """Return whether the path enters a span without rest, and the jets for its start."""
         if before is None:
             return False, None
         start = piece.jets(at_end=False)

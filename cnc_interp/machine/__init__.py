@@ -1,1 +1,1 @@
-"""The simulated machine: states, drives, soft limits; no clock, no ROS."""
+"""The machine: its states, drives and travel limits. This room needs no ROS."""

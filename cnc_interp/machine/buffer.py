@@ -1,4 +1,4 @@
-"""The machine's buffer: chunks of setpoints that wait for their time."""
+"""The machine's buffer: chunks of setpoints that wait to be played."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from cnc_interp.run.setpoints import Chunk, Wait
 
 @dataclass(frozen=True)
 class BufferedChunk:
-    serial: int  #: Number of the chunk in the cycle.
+    serial: int  #: Serial number of the chunk in the cycle.
     run_id: RunId  #: Plan to which it belongs.
-    first: int  #: Number of its first setpoint since the last rest by a stop.
-    chunk: Chunk  #: Setpoints, stop tail and continuation.
-    acts: ActsOfChunk  #: Functions that act in it.
+    first: int  #: Number of its first setpoint, counted since the last stop.
+    chunk: Chunk  #: Its setpoints and stop tail, and how the run continues.
+    acts: ActsOfChunk  #: Functions that act during the chunk.
 
     def head(self, count: int, serial: int, acts: ActsOfChunk) -> BufferedChunk:
-        """Return the first setpoints as a chunk with another serial number."""
+        """Return the first ``count`` setpoints as a chunk with another serial number."""
         return BufferedChunk(serial, self.run_id, self.first, self.chunk.head(count), acts)
 
     @property
@@ -50,7 +50,7 @@ class Buffer:
         self.newest = np.concatenate([self.newest, chunk.chunk.samples.position])[-3:]
 
     def cut(self, number: int, newest: FloatArray) -> None:
-        """Forget the chunks that end after a setpoint; ``newest`` are the last three kept."""
+        """Drop the chunks that end after setpoint ``number``; ``newest``: the three before it."""
         while self.chunks and self.chunks[-1].after > number:
             chunk = self.chunks.pop()
             self.count -= len(chunk.chunk.samples)

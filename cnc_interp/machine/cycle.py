@@ -1,12 +1,12 @@
-"""The cycle of the machine: one compiled call without the interpreter's lock.
+"""The cycle of the machine: one compiled call that runs without the interpreter's lock.
 
 It wakes at absolute deadlines, takes one setpoint, steps the drives and records the result. After
 a hold or an emergency stop, or if the next chunk is late, it plays the stop tail of the current
 chunk. So stopping does not depend on any Python thread.
 
-Chunks are described in a ring of descriptors with the addresses of their arrays, which ``Cycle``
-keeps alive. A chunk is linked to its predecessor once it is complete; another link lets a new plan
-join. Played setpoints are recorded in a second ring. Each ring has one writer and one reader.
+A ring of descriptors holds the addresses of each chunk's arrays; ``Cycle`` keeps the arrays alive.
+A complete chunk is linked to its predecessor. A new plan joins when this link is changed. Played
+setpoints are recorded in a second ring. Each ring has one writer and one reader.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from cnc_interp.run.setpoints import Chunk
 
 NO_SWITCHES, NO_SIGNALS = np.zeros((0, 3)), np.zeros(0)
 KEPT = 10.0  #: Time that records are kept [s]; longer than any buffer and stop tail.
-STANDS = 0.5  #: A clock that is later counts as stopped [s]; services wait no longer for it.
+STANDS = 0.5  #: Longest wait for a period of the clock; then it counts as stopped [s].
 
 
 class Records(NamedTuple):
-    #: (K,): Setpoint and what happened. The row of a FAILED record is the number of the fault.
+    #: (K,): Setpoint and events of each period. ``row`` of a FAILED record is the fault number.
     source: IntArray
     serial: IntArray
     row: IntArray
@@ -41,16 +41,16 @@ class Records(NamedTuple):
     #: (K, n_axes): Actual position and velocity of the drives [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
-    answered: FloatArray  #: (K, n_axes): Setpoint that they answer; with a FIFO an earlier one.
-    setpoint: FloatArray  #: (K, n_axes).
-    angle: FloatArray  #: (K,): Angle of the spindle at that time [rev].
+    answered: FloatArray  #: (K, n_axes): Setpoint that they follow; with a FIFO an earlier one.
+    setpoint: FloatArray  #: (K, n_axes): Setpoint that was played [m, rad].
+    angle: FloatArray  #: (K,): Angle of the spindle in each period [rev].
 
     def part(self, first: int, last: int) -> Records:
         return Records(*(column[first:last] for column in self))  # type: ignore[arg-type]
 
 
 def speed_outputs(outputs: Sequence[Signal]) -> kernel.SpeedOutputs:
-    """Return the outputs that follow the speed of the tip, for the cycle."""
+    """Return those outputs that follow the speed of the tip, as arrays for the cycle."""
     found = [(k, each) for k, each in enumerate(outputs) if each.speeds]
     points = max((len(each.speeds) for _, each in found), default=1)
     rows = [
@@ -65,7 +65,7 @@ def speed_outputs(outputs: Sequence[Signal]) -> kernel.SpeedOutputs:
 
 
 class Cycle:
-    """The interface of Python threads to the compiled cycle; bounds as in ``Memory``."""
+    """Python's interface to the compiled cycle; ``travel`` and ``jump`` as in ``Memory``."""
 
     def __init__(
         self,
@@ -121,10 +121,10 @@ class Cycle:
         switches: tuple[FloatArray, FloatArray] = (NO_SWITCHES, NO_SWITCHES),
         speeds: Sequence[FloatArray] = (),
     ) -> int:
-        """Write a chunk into the ring and return its unique serial number; a link makes it play.
+        """Write a chunk into the ring; return its serial number. It plays only once it is linked.
 
-        ``switches``: row, output and value, (k, 3), for the chunk and for its stop tail;
-        ``speeds``: speed of the tip on both, if an output follows it [m/s].
+        ``switches``: output changes of the chunk and of its stop tail: rows (k, 3) of setpoint,
+        output and value. ``speeds``: tip speeds of both, if an output follows them [m/s].
         """
         serial, descriptors = self._written, self._memory.chunks
         if self._kept and serial - self._kept[0][0] >= len(descriptors):
@@ -152,10 +152,10 @@ class Cycle:
         publish(descriptors[after % len(descriptors)], kernel.NEXT, serial)
 
     def relink(self, after: int, serial: int) -> bool:
-        """Let one chunk follow another and skip those between; return False if it is too late.
+        """Link chunk ``serial`` behind chunk ``after``; return False if it is too late.
 
-        The cycle reads the link when it leaves the last row of a chunk. In that case only its next
-        period shows which link it took. Raises StreamError if the clock has stopped.
+        The chunks between them are skipped. While the cycle plays the last row of ``after``, only
+        its next period shows which link it has read. Raises StreamError if the clock has stopped.
         """
         control = self._control
         if control[kernel.SOURCE] != kernel.REST and control[kernel.SERIAL] >= after:
@@ -184,11 +184,11 @@ class Cycle:
         publish(self._control, kernel.LEAVE, 1)
 
     def mute(self, mutes: bool) -> None:
-        """Freeze the outputs while setpoints are played, or let setpoints switch them again."""
+        """Keep setpoints from switching outputs, or let them switch outputs again."""
         publish(self._control, kernel.MUTE, int(mutes))
 
     def watch_limits(self, axes: Sequence[int], watched: bool) -> None:
-        """Enable the limit switches of axes; they are disabled while the axes are homed."""
+        """Enable or disable the limit switches of axes; homing disables them."""
         rows = self._memory.switches
         rows[np.isin(rows[:, 1], axes), 3] = watched
 
@@ -199,7 +199,7 @@ class Cycle:
         kernel.advance(self._memory, self._step)
 
     def run(self) -> None:
-        """Run by the clock in the calling thread until ``quit`` is called."""
+        """Run the cycle by the clock, in the calling thread, until ``quit`` is called."""
         kernel.run_periods(self._memory, self._step, self._period, self._together)
 
     def quit(self, quits: bool = True) -> None:
@@ -228,7 +228,7 @@ class Cycle:
         return bool(self._control[kernel.SOURCE] == kernel.FOLLOW)
 
     def has_news(self, count: int) -> bool:
-        """Return whether an event has occurred, or at least ``count`` setpoints were played."""
+        """Return whether no chunk is playing, or at least ``count`` records are unread."""
         control = self._control
         return bool(
             control[kernel.SOURCE] != kernel.CHUNK
@@ -243,12 +243,12 @@ class Cycle:
 
 
 class MachineClock:
-    """Runs the cycle in a thread of its own, which never needs the interpreter."""
+    """Runs the cycle in its own thread, which never waits for the Python interpreter."""
 
     def __init__(self, cycle: Cycle, priority: int):
         self._cycle, self._priority = cycle, priority
         self._thread: threading.Thread | None = None
-        self.scheduling = ''  #: How the thread is scheduled; empty before the start.
+        self.scheduling = ''  #: Text: scheduling of the thread; empty before the start.
 
     def start(self) -> None:
         self._cycle.quit(False)

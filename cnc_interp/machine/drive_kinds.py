@@ -1,4 +1,4 @@
-"""The table of the kinds of drives: the parameters of each, and how it is created."""
+"""The table of the kinds of drives: the node parameters of each, and its constructor."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from cnc_interp.machine_model.machine import Machine
 
 Values = Mapping[str, Any]
-#: Opens the topics of a controller, given the parameters that name it and the joint of each axis.
+#: Function that opens the topics of a controller; takes node parameters and names of joints.
 Link = Callable[[Values, list[str]], 'Controller']
 
 
 class Declared(NamedTuple):
-    """A node parameter with its default and range; it cannot change after the node has started."""
+    """A node parameter with its default and range. Its value is fixed when the node starts."""
 
     name: str
     default: float | int | bool | str | list[str]
@@ -33,7 +33,7 @@ class Declared(NamedTuple):
     high: float | None = None
 
     def value_text(self, text: str) -> str:
-        """Return a word of the command line, converted as ROS converts a parameter."""
+        """Return a value from the command line in the notation of ROS parameters."""
         if isinstance(self.default, list):
             return str(text.split())
         return f"'{text}'" if isinstance(self.default, str) else text
@@ -42,7 +42,7 @@ class Declared(NamedTuple):
 @dataclass(frozen=True)
 class DriveKind:
     what: str  #: Description of the drives for users.
-    parameters: tuple[Declared, ...]  #: Parameters of machine_node for these drives only.
+    parameters: tuple[Declared, ...]  #: Parameters that machine_node has only for these drives.
     make: Callable[[Machine, float, Values, Link], Drives]
 
 
@@ -67,7 +67,7 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
 
 
 def _start(machine: Machine, height: float) -> FloatArray:
-    """Return the first positions of simulated axes: 0, tip above the part, or an arm's home."""
+    """Return where simulated axes start: 0, the tip ``height`` above the part, or arm's home."""
     if machine.arm is not None:
         return machine.arm.home.copy()
     position = np.zeros(len(machine.axis_names))
@@ -97,7 +97,7 @@ def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> 
 
 
 def _limits(machine: Machine, values: Values) -> FloatArray:
-    """Return the largest following error of each axis: its own, or the common one [m, rad]."""
+    """Return the limit of each axis's following error: its own or the common one [m, rad]."""
     usual = values['following_error_limit'], values['following_angle_limit']
     found = np.where(machine.is_linear, *usual)
     for axis, own in machine.following_errors.items():
@@ -172,7 +172,7 @@ KINDS = {
         _trajectory,
     ),
 }
-CHOICE = '; '.join(f'{name}: {kind.what}' for name, kind in KINDS.items())  #: All kinds in words.
+CHOICE = '; '.join(f'{name}: {kind.what}' for name, kind in KINDS.items())  #: All kinds, in words.
 
 
 def parameters_of_drives() -> tuple[Declared, ...]:

@@ -1,4 +1,4 @@
-"""Drives in LinuxCNC's HAL (``docs/linuxcnc_machine.md``): setpoints go out through a FIFO."""
+"""Drives in LinuxCNC's HAL (``docs/linuxcnc_machine.md``): setpoints pass through a FIFO."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import home_input, index_signals
 
 LIBRARY = 'liblinuxcnchal.so.0'
-#: Shared memory keys of HAL, of the first streamer and of the first sampler.
+#: Shared memory keys: of HAL itself, of its first ``streamer`` and of its first ``sampler``.
 HAL_KEY, STREAMER_KEY, SAMPLER_KEY = 0x48414C32, 0x48535430, 0x48534130
-TYPES = {1: 'b', 2: 'f', 3: 's', 4: 'u'}  #: Column letters of HAL's types.
+TYPES = {1: 'b', 2: 'f', 3: 's', 4: 'u'}  #: Column letter of each HAL data type.
 PATIENCE = 10.0  #: Longest wait for ``halcmd`` [s].
 
 
 class _Stream(ctypes.Structure):
-    """A stream as seen by one user: component, id of the shared memory, and its address."""
+    """HAL's C struct of an open stream: component, id and address of the shared memory."""
 
     _fields_ = [('component', ctypes.c_int), ('memory', ctypes.c_int), ('fifo', ctypes.c_void_p)]
 
 
 class HalStream:
-    """A FIFO of HAL in shared memory, of a ``streamer`` or a ``sampler``."""
+    """The FIFO of a HAL ``streamer`` or ``sampler``, in shared memory."""
 
     def __init__(self, session: HalSession, key: int, columns: str, name: str):
         self._library, self._stream = session.library, _Stream()
@@ -105,7 +105,7 @@ class HalSession:
 
 
 def shared_memories() -> dict[int, int]:
-    """Return the shared memories that a process has open: the user of each key."""
+    """Return the shared memories in use: key -> user id of the owner."""
     rows = Path('/proc/sysvipc/shm').read_text(encoding='ascii').splitlines()
     names, *values = (row.split() for row in rows)
     found = [dict(zip(names, map(int, row), strict=True)) for row in values]
@@ -113,7 +113,7 @@ def shared_memories() -> dict[int, int]:
 
 
 def thread_period(functions: tuple[str, ...]) -> float:
-    """Return the period of the HAL thread that calls all these functions [s]."""
+    """Return the period of the HAL thread that calls all of ``functions`` [s]."""
     halcmd = shutil.which('halcmd')
     if halcmd is None:
         raise DriveFaultError('halcmd is not found; install LinuxCNC (Debian: linuxcnc-uspace)')
@@ -137,7 +137,7 @@ def thread_period(functions: tuple[str, ...]) -> float:
     )
 
 
-#: Largest relative difference of HAL's period from the interpolation period [-].
+#: Largest relative difference between HAL's period and the interpolation period [-].
 PERIOD_SLACK = 0.01
 POWER_UP = 5.0  #: Longest wait for HAL and for the power of the drives [s].
 
@@ -156,7 +156,7 @@ CAUSES = {
 
 
 class HalDrives(HomedDrives):
-    """Drives that a running session of HAL moves; see ``drives.CycleDrives``.
+    """Drives that are moved by a running HAL session; see ``drives.CycleDrives``.
 
     ``depth``: number of setpoints that wait in HAL's FIFO; ``limits``: largest following error of
     each axis; ``known``: its kept position, or NaN [m, rad]. Raises DriveFaultError if no session
@@ -164,7 +164,7 @@ class HalDrives(HomedDrives):
     """
 
     wired = True
-    lag = 0.02  #: Typical lag of drives with a following error [s].
+    lag = 0.02  #: Typical time by which drives lag behind their setpoints [s].
 
     def __init__(
         self,
@@ -256,13 +256,13 @@ class HalDrives(HomedDrives):
         words[hal_step.PERIOD] = round(period * 1e9)
 
     def _await_answer(self) -> None:
-        """Step until HAL has answered; the machine's clock is not running yet."""
+        """Run periods until HAL has answered; the machine's clock is not running yet."""
         self._step_until(hal_step.COUNTED, 1)
         if not self._block.words[hal_step.COUNTED]:
             raise DriveFaultError("HAL's thread does not run; start it: halcmd start")
 
     def _assume_inside(self, machine: Machine, known: FloatArray) -> None:
-        """Give axes with a switch their known position, or one within their travel."""
+        """Set axes with a reference switch to their known position, or to one in their travel."""
         block, inside = self._block, np.clip(self._block.actual[1], *machine.travel.T)
         inside = np.where(np.isfinite(known), known, inside)
         block.shift[:] = np.where(block.home >= 0, inside - block.actual[1], 0.0)
@@ -287,7 +287,7 @@ class HalDrives(HomedDrives):
             raise DriveFaultError(CAUSES[hal_step.STOPPED])
 
     def _step_until(self, word: int, value: int) -> None:
-        """Run periods while the clock is stopped, until a memory word has a given value."""
+        """Run periods without the clock until memory word number ``word`` is ``value``."""
         n, memory = len(self._names), self.memory.ctypes.data
         setpoint, feedback = np.zeros((2, n)), np.zeros((4, n))
 
@@ -303,7 +303,7 @@ class HalDrives(HomedDrives):
         return (self._block.held if held else self._block.actual[1]).copy()
 
     def switch_on(self) -> None:
-        """Request power and wait until the drives confirm it; the machine's clock is running."""
+        """Switch the power on and wait until the drives confirm it; needs the running clock."""
         words = self._block.words
         self._wait(lambda: bool(words[hal_step.POWER_BEFORE] == hal_step.OFF))
         publish(words, hal_step.POWER, hal_step.HOLD)
@@ -319,7 +319,7 @@ class HalDrives(HomedDrives):
             time.sleep(1e-9 * self._block.words[hal_step.PERIOD])
 
     def switch_off(self) -> None:
-        """Switch the power off as soon as HAL has played the last setpoint."""
+        """Request that HAL switch the power off after the last setpoint."""
         publish(self._block.words, hal_step.POWER, hal_step.OFF)
 
     def close(self) -> None:
@@ -333,7 +333,7 @@ class HalDrives(HomedDrives):
         self._session.end()
 
     def fault(self, number: int) -> str:
-        """Return the meaning of a fault or alarm number, and what to do."""
+        """Return a text for a fault or alarm number: the cause, and what to do."""
         if number >= hal_step.AMPLIFIER:
             return f'{self._names[number - hal_step.AMPLIFIER]}: the amplifier reports a fault'
         if number >= hal_step.BEHIND:

@@ -8,14 +8,14 @@ from cnc_interp.machine_model.signals import LOST_MACHINE, Signals
 NO_SIGNALS = Signals()
 STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
 MOST = 21  #: Largest number of columns of a HAL stream.
-BITS = 16  #: Bits per column: as many as HAL's ``weighted_sum`` adds up.
-POWER = 'cnc-power'  #: Signal that replaces the power signals of the joints.
+BITS = 16  #: Bits per column; HAL's ``weighted_sum`` can add this many.
+POWER = 'cnc-power'  #: HAL signal that replaces the amplifier enable signals of the joints.
 
 
 def columns_of(n: int, signals: Signals) -> tuple[str, str]:
-    """Return the columns of ``streamer`` and ``sampler`` for n axes, in the form of their cfg.
+    """Return the ``cfg`` texts of ``streamer`` and ``sampler`` for n axes: a letter per column.
 
-    Raises InterpError if HAL has fewer columns.
+    Raises InterpError if more columns are needed than HAL has.
     """
     found = []
     for what, declared, bits, letter in (
@@ -34,27 +34,27 @@ def columns_of(n: int, signals: Signals) -> tuple[str, str]:
 
 
 def sent(bit: int) -> str:
-    """Return the pin of a bit of ``streamer``: power, then the outputs of ``signals``."""
+    """Return the HAL pin of a bit sent by ``streamer``; bit 0 is the power, then outputs."""
     return f'bits-{bit // BITS}.out-{bit % BITS:02d}'
 
 
 def seen(bit: int) -> str:
-    """Return the pin of a bit of ``sampler``: faults, power, empty, then the inputs."""
+    """Return the HAL pin of a ``sampler`` bit; n faults, power and FIFO empty precede inputs."""
     return f'wsum.{bit // BITS}.bit.{bit % BITS}.in'
 
 
 def pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the pins of outputs and inputs by name.
+    """Return the HAL pin of each output and of each input, by the name of the signal.
 
-    Numbers have columns after the velocities. Outputs that are switched off when the machine node
-    ends pass through a gate.
+    The columns of numeric signals come after those of the velocities. An output that must go off
+    when the machine node ends passes through a gate.
     """
     outputs, inputs = raw_pins_of(n, signals)
     return outputs | {name: f'{gate}.out' for name, gate, _ in gates(signals)}, inputs
 
 
 def gates(signals: Signals) -> list[tuple[str, str, str]]:
-    """Return name, gate and module of each output that is off while the axes have no power."""
+    """Return name, gate and HAL module of each output that needs the power of the axes."""
     return [
         (signal.name, f'on-{signal.name}', 'mux2' if signal.is_number else 'and2')
         for signal in (signals.outputs[k] for k in signals.off.get(LOST_MACHINE, ()))
@@ -71,7 +71,7 @@ def gate_lines(n: int, signals: Signals) -> list[str]:
 
 
 def raw_pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the pins as ``pins_of`` does, but before the gates."""
+    """Return the pins like ``pins_of``, but the pins ahead of the gates."""
     outputs, inputs = dict[str, str](), dict[str, str]()
     for pins, declared, name, bit, pin in (
         (outputs, signals.wires, STREAMER, 1, sent),

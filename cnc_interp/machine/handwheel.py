@@ -1,10 +1,10 @@
-"""A handwheel: each count of its input moves the selected axes by one step, within all limits."""
+"""A handwheel: each count moves the selected axes by one step, within their limits."""
 
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine_model.signals import COUNTS, STEP, handwheel_input
 
-USUAL_STEP = 0.01  #: Way per count of a machine without the input ``STEP`` [mm, deg].
+USUAL_STEP = 0.01  #: Travel per count if the machine has no input ``STEP`` [mm, deg].
 
 
 class Handwheel:
@@ -17,7 +17,7 @@ class Handwheel:
         self._seen = False
 
     def work(self, ignored: bool = False) -> None:
-        """Move the axes by the counts since the last call; StreamError if that is not possible."""
+        """Move the selected axes by the new counts; raise StreamError if that is impossible."""
         if self._counts < 0:
             return
         inputs = self._playback.drives.inputs

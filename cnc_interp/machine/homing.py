@@ -1,4 +1,4 @@
-"""Homing: axes move to their switches, then slowly back until release, and on to an index."""
+"""Homing: axes move onto their switches, slowly back off them, and on to an index pulse."""
 
 from collections.abc import Sequence
 from enum import Enum
@@ -13,8 +13,8 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import home_input, index_signals, square_output
 from cnc_interp.run.run_state import Reason, State
 
-SEARCH, BACK = 0.1, 0.01  #: Shares of the velocity limits towards the switch and back from it [-].
-AT_END = 1e-6  #: An axis this near to its end of travel has missed its switch [m, rad].
+SEARCH, BACK = 0.1, 0.01  #: Share of the velocity limit: to the switch, and back [-].
+AT_END = 1e-6  #: An axis nearer to its end of travel has missed its switch [m, rad].
 
 
 class AxisHoming(Enum):
@@ -32,7 +32,7 @@ MISSED = {
 
 
 class SimulatedSwitches:
-    """Simulated reference switches, pressed from a position to the nearer end of travel."""
+    """Simulated reference switches: each is pressed between its position and an end of travel."""
 
     def __init__(self, machine: Machine):
         names, given = machine.axis_names, machine.homing
@@ -45,23 +45,23 @@ class SimulatedSwitches:
         return np.asarray((q - self._at) * self.towards >= 0.0)
 
     def passed(self, q: FloatArray) -> BoolArray:
-        """Return which axes have passed the index that they search."""
+        """Return which axes have passed the index pulse for which they search."""
         return np.asarray((q - self._index) * self.towards <= 0.0)
 
     def lose(self, names: Sequence[str]) -> None:
-        """Do nothing: simulated axes know where they are."""
+        """Do nothing: the positions of simulated axes are always known."""
 
     find = ask = lose
 
     def square(self, names: Sequence[str], on: bool) -> None:
-        """Do nothing: the motors of a simulated gantry are square."""
+        """Do nothing: a simulated gantry is always square."""
 
 
 class WiredSwitches(SimulatedSwitches):
-    """Switches on the inputs ``home_x`` ...; their release, or an index, defines the position.
+    """Switches on inputs ``home_x`` etc.; release or index pulse defines the position.
 
-    Until then the axis is assumed to be at an end of its travel, so that it may move over all of
-    it.
+    Until then the axis is assumed to be at an end of its travel, so that it can move over the
+    whole travel.
     """
 
     def __init__(self, playback: Playback, drives: HomedDrives):
@@ -152,18 +152,18 @@ class Homing:
         return sorted(self._unknown, key=self._names.index) if self._required else []
 
     def forget(self) -> None:
-        """Mark all axes with a switch as not homed, as after the drives were off."""
+        """Mark all axes with a switch as not homed, because the drives were off."""
         self._unknown = set(self._machine.homing.switches)
         self._watch_limits(True)
         self._groups, self._stages = [], {}
         self._jog.by_drives = False
 
     def know(self, axes: Sequence[str]) -> None:
-        """Mark axes as homed, because their positions were kept without power."""
+        """Mark axes as homed, because their positions were stored while the power was off."""
         self._unknown -= set(axes)
 
     def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:
-        """Begin to home axes, by default all; return which, or raise StreamError."""
+        """Begin to home axes, by default all; return their names, or raise StreamError."""
         given = self._machine.homing
         for name in axes:
             if name not in given.switches:
@@ -210,7 +210,7 @@ class Homing:
         self._jog.beat({}, 0.0, now)
 
     def work(self, now: float) -> None:
-        """Continue homing before the jog of this period; raise StreamError if it ended early."""
+        """Continue homing; called before ``Jog.work``. Raises StreamError if it ended early."""
         if not self._stages:
             return
         state = self._playback.state

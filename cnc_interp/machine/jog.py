@@ -1,4 +1,4 @@
-"""Motion by hand: beats request velocities, moves request targets; both become setpoints."""
+"""Motion by hand: a beat requests velocities, a move a target; both become setpoints."""
 
 import math
 from collections.abc import Mapping
@@ -17,14 +17,14 @@ from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Chunk
 
 LATE = 0.2  #: The motion stops if no beat arrives for this time [s].
-GIVEN_UP = 3.0  #: A key without a beat for this time is forgotten [s].
-AHEAD, PIECE = 0.05, 0.01  #: Motion handed to the machine ahead of time, and in one piece [s].
-JOG = 'jog'  #: Program id of motions by hand in the record; ``attempt`` counts them.
+GIVEN_UP = 3.0  #: After this time without a beat, the jog key counts as released [s].
+AHEAD, PIECE = 0.05, 0.01  #: Duration of motion buffered in the machine, and of one chunk [s].
+JOG = 'jog'  #: ``program_id`` of motions by hand; ``attempt`` counts these motions.
 
 
 @dataclass(frozen=True, eq=False)
 class Beat:
-    """Velocities for ``LATE`` seconds, as shares of the limits, shape (m,) [-]."""
+    """Velocities over their limits, (m,) [-]; they apply for ``LATE`` seconds."""
 
     slides: Slides
     shares: FloatArray
@@ -32,7 +32,7 @@ class Beat:
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Target coordinates, shape (m,) [m, rad], and the share of the velocity limits [-]."""
+    """Target coordinates, (m,) [m, rad], and speed as a share of the velocity limits [-]."""
 
     slides: Slides
     target: FloatArray
@@ -46,7 +46,7 @@ class Jog:
         self._period = playback.axes.period
         self._axes = Slides.of_axes(self._machine)
         self._drives = Slides.of_drives(self._machine)
-        #: Whether axes move in the coordinates of the drives, without errors: while homing.
+        #: Whether axes move in commanded instead of nominal coordinates, as while homing.
         self.by_drives = False
         self._wish: Beat | Move | None = None
         self._beat_at = -math.inf
@@ -60,7 +60,7 @@ class Jog:
 
     @property
     def target(self) -> FloatArray:
-        """Nominal axes at the end of the current move, else at its beginning [m, rad]."""
+        """Nominal target of the current move; without a move, the last setpoint [m, rad]."""
         if isinstance(self._wish, Move):
             return self._wish.slides.nominal(self._wish.target[None, :])[0]
         return self._axes.coordinates(self._before[-1])
@@ -68,10 +68,10 @@ class Jog:
     # Requests of the operator -------------------------------------------------------------------
 
     def beat(self, shares: Mapping[str, float], tool: float, now: float) -> float:
-        """Process a beat received at a steady time; raise StreamError if it cannot be followed.
+        """Process a beat; return the silence that stopped a jog before it [s], else 0.
 
-        ``shares``: velocity of each axis over its limit, -1 to 1; ``tool``: likewise along the
-        tool.
+        ``shares``: velocity of each axis over its limit, -1 to 1; ``tool``: the same along the
+        tool; ``now``: monotonic time [s]. Raises StreamError if the jog is not possible.
         """
         wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
         self._check(shares, tool)
@@ -99,11 +99,11 @@ class Jog:
     def move(
         self, values: Mapping[str, float], relative: bool, tool: float, speed: float
     ) -> FloatArray:
-        """Accept a move; return the nominal axes at its end, (n_axes,), or raise StreamError.
+        """Accept a move; return its nominal target, (n_axes,) [m, rad], or raise StreamError.
 
-        ``values``: target position of each moving axis. If ``relative``, its distance from the
-        target of the current move, or from the current position. ``tool``: distance along the tool
-        [m]; ``speed``: share of the velocity limits; 0 means 1 [-].
+        ``values``: target of each moving axis [m, rad]. If ``relative``, they count from the
+        target of the current move or, without one, from the current position. ``tool``: distance
+        along the tool [m]; ``speed``: share of the velocity limits [-]; 0 means full speed.
         """
         wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)
         self._check(values, tool)
@@ -162,7 +162,7 @@ class Jog:
     # What the machine does ----------------------------------------------------------------------
 
     def work(self, now: float, override: float) -> None:
-        """Send the machine its next setpoints; StreamError says why a motion has been stopped."""
+        """Send the next setpoints to the machine; raise StreamError if a motion was stopped."""
         playback, state, self._override = self._playback, self._playback.state, override
         before, self._seen = self._seen, state
         if state is not before:
@@ -221,7 +221,7 @@ class Jog:
             self._wish = None
 
     def _piece(self, motion: JogMotion) -> Chunk:
-        """Return the next setpoints, checked like those of a program."""
+        """Return the next setpoints, after the checks that setpoints of programs also pass."""
         chunk = motion.piece(self._setpoints(PIECE))
         rows = np.concatenate([chunk.samples.position, chunk.tail.position])
         refuse_setpoints(self._machine, self._period, self._before, rows)
@@ -229,7 +229,7 @@ class Jog:
 
     @property
     def _before(self) -> FloatArray:
-        """The last three setpoints before the next ones, (3, n_axes) [m, rad]."""
+        """The last three buffered setpoints, which the next ones follow, (3, n_axes) [m, rad]."""
         playback = self._playback
         if playback.state.by_hand:
             return playback.plans.buffer.newest

@@ -1,10 +1,10 @@
-"""Motion by hand: any number of axes, with a velocity or to a target, from any state of motion.
+"""Motion by hand: any number of axes, at a velocity or to a target; axes may already move.
 
 ruckig (Berscheid and Kroeger, 2021) computes the fastest motion within velocity, acceleration and
-jerk limits. The setpoints are samples of it, so their differences keep the limits too. A velocity
-towards an end of travel is a motion to that end. A piece is sent only if it, and the stop after
-it, stay within the travel and hit no body of the scene. Otherwise the motion stops with the stop
-of the preceding piece.
+jerk limits. The setpoints are samples of it, so their differences keep the limits too. Near an end
+of travel, a velocity towards it becomes a motion to that end. Setpoints are sent only if they and
+the stop after them stay within the travel and hit no body of the scene. Otherwise the axes make
+the stop that follows the setpoints sent before.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from cnc_interp.machine.slides import THERE, Slides
 from cnc_interp.run.clearance_stage import ContactError, Foresight
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
-#: A smaller share of a velocity limit counts as rest, which bounds the time [-].
+#: A smaller share of a velocity limit counts as rest, because a move would take too long [-].
 LEAST_SHARE = 1e-3
-#: A motion with a velocity is planned for this time, and again after half of it [s].
+#: Motion at a velocity is planned for this time, and planned anew after half of it [s].
 HORIZON = 10.0
-#: ruckig finds no motion where two of its profiles meet within rounding, as at a distance of
-#: 2 A^3 / J^2, where the acceleration just reaches its limit. A lower jerk moves that seam.
+#: Factors on the jerk limit. Where two of ruckig's profiles meet within rounding, it may find no
+#: motion, as at a distance of 2 A^3 / J^2. A slightly lower jerk avoids this.
 SEAMS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
 
 VELOCITY, POSITION = ruckig.ControlInterface.Velocity, ruckig.ControlInterface.Position
@@ -45,7 +45,7 @@ class JogMotion:
         self._contact = contact
         self.blocked: ContactError | None = None  #: Contact before which the motion stops.
         self._solver = ruckig.Ruckig(len(x))
-        #: Position, velocity and acceleration at the last setpoint handed out, shape (3, m).
+        #: (3, m): Position, velocity and acceleration at the last setpoint that was returned.
         self._state = np.stack([x, np.zeros_like(x), np.zeros_like(x)])
         self._velocity: FloatArray | None = None
         self._count = 0  # setpoints handed out
@@ -53,12 +53,12 @@ class JogMotion:
 
     @property
     def x(self) -> FloatArray:
-        """Coordinates at the last setpoint handed out, shape (m,) [m, rad]."""
+        """Coordinates of the last setpoint that was returned, shape (m,) [m, rad]."""
         return self._state[0]
 
     @property
     def over(self) -> bool:
-        """Whether all setpoints have been sent; the last one is at rest."""
+        """Whether all setpoints down to rest have been returned."""
         return self._next >= self._last
 
     def stop(self) -> None:
@@ -67,7 +67,7 @@ class JogMotion:
         self._follow(self._stop(self._state), rests=True)
 
     def run(self, velocity: FloatArray) -> None:
-        """Move with a velocity until another command; stop at an end of the travel."""
+        """Move at a velocity (m,) until the next command; stop at the end of the travel."""
         self._velocity = velocity
         largest, acceleration, jerk = self.slides.limits.by_order
         x, v, a = self._state
@@ -83,7 +83,7 @@ class JogMotion:
         self._follow(planned, rests=not (wanted[~near]).any())
 
     def go(self, target: FloatArray, share: float) -> None:
-        """Move to a target; all slides arrive together."""
+        """Move to ``target`` at ``share`` of the velocity limits; all slides arrive together."""
         self._velocity = None
         x, v, a = self._state
         if (np.abs(target - x) <= THERE).all() and not (v.any() or a.any()):
@@ -93,7 +93,7 @@ class JogMotion:
         self._follow(self._solve(self._state, most, target, TOGETHER), rests=True)
 
     def piece(self, count: int) -> Chunk:
-        """Return the next setpoints, with the stop after them."""
+        """Return the next ``count`` setpoints, with the stop after them as stop tail."""
         if self._velocity is not None and self._next * self._period > 0.5 * HORIZON:
             self.run(self._velocity)
         rows, tail = self._next_rows(count)
@@ -117,7 +117,7 @@ class JogMotion:
     def _solve(
         self, state: FloatArray, velocity: FloatArray, target: FloatArray, together: object
     ) -> ruckig.Trajectory:
-        """Find the motion to targets with ruckig; slides with target NaN reach a velocity."""
+        """Return ruckig's motion to ``target``; slides with target NaN reach ``velocity``."""
         largest, acceleration, jerk = self.slides.limits.by_order
         aims = np.isfinite(target)
         wanted = ruckig.InputParameter(len(target))
@@ -177,7 +177,7 @@ class JogMotion:
         return self._contact(self.slides.positions(x))
 
     def _setpoints(self, rows: FloatArray, before: FloatArray, number: int) -> Setpoints:
-        """Return states as setpoints of the axes; ``before`` is the acceleration before them."""
+        """Return slide states as setpoints of the axes; ``before``: acceleration before them."""
         count = len(rows)
         jerk = np.diff(np.concatenate([before[None, :], rows[:, 2]]), axis=0) / self._period
         position, velocity, acceleration, axis_jerk = self.slides.motion(rows, jerk)

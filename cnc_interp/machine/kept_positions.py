@@ -1,4 +1,4 @@
-"""Positions of the axes in a file while the machine is off, so that it need not be homed again.
+"""Save axis positions in a file while the machine is off, so that it needs no new homing.
 
 The file exists only after the axes rested at a power failure or at the end of the machine node.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def kept_positions(file: str, machine: Machine) -> FloatArray:
-    """Return the kept positions of the axes, (n_axes,) [m, rad]; NaN where nothing is known."""
+    """Return the axis positions saved in a file, (n_axes,) [m, rad]; NaN if not saved."""
     found = np.full(len(machine.axis_names), np.nan)
     if not (file and Path(file).exists()):
         return found
@@ -41,7 +41,7 @@ def kept_positions(file: str, machine: Machine) -> FloatArray:
 def keep_positions(
     file: str, machine: Machine, position: FloatArray, known: Sequence[bool]
 ) -> None:
-    """Write the known positions of axes at rest, (n_axes,) [m, rad]."""
+    """Save the positions (n_axes,) [m, rad] of those resting axes that are ``known``."""
     rows = zip(machine.axes, position.tolist(), known, strict=True)
     found = {axis.name: value / axis.shown_size for axis, value, is_known in rows if is_known}
     write_whole(Path(file), yaml.safe_dump(found, sort_keys=False))

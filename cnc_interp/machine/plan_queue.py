@@ -1,8 +1,8 @@
-"""Plans received by the machine: the current chunk, waiting chunks, and rules for joining.
+"""Plans received by the machine: the current chunk, waiting chunks, and how plans join.
 
-A plan may replace the setpoints of another plan from a given number on, as long as none of them
-has been played. The first chunk of the new plan is linked to the chunk before them, which is cut
-if necessary.
+A plan may replace the setpoints of another plan that follow a given setpoint, if none of them has
+been played. The chunk with that setpoint is cut after it, and the first chunk of the new plan is
+linked behind it.
 """
 
 from dataclasses import replace
@@ -24,48 +24,48 @@ ELSEWHERE = 1e-8
 
 
 class PlanQueue:
-    """The setpoints of the plans of a run, and how far they have been played."""
+    """The setpoints of a run's plans, and how many of them have been played."""
 
     def __init__(self, cycle: Cycle, axes: AxisMotion, signals: Signals):
         self._cycle, self._axes, self._signals = cycle, axes, signals
         self.buffer = Buffer(axes.setpoints[-1])
-        self.given_up = ''  #: The run that was reset last.
+        self.given_up = ''  #: ``program_id`` of the run that was given up last.
         self.begin(NO_RUN)
 
     def begin(self, run_id: RunId) -> None:
         """Begin a run."""
         self.played = 0  # setpoints of the run
-        #: Positions at which the run continues after the axes were moved away in a hold; else
-        #: empty [m, rad].
+        #: Positions at which the run continues after a jog during a hold [m, rad]; otherwise
+        #: empty.
         self.away: FloatArray = np.zeros(0)
         self.begin_plan(run_id)
 
     def begin_plan(self, run_id: RunId) -> None:
-        """Begin another plan of the run at the positions where the machine rests."""
+        """Begin another plan of the run; it starts where the axes rest."""
         self.empty()
         self.run_id, self.played_of_plan = run_id, 0
 
     def empty(self) -> None:
-        """Drop all setpoints; the axes rest."""
+        """Drop all setpoints; call it only while the axes rest."""
         self.buffer.clear(self._axes.setpoints[-1])
-        #: Chunk that is being played, itself or its stop tail; and its last played row.
+        #: The current chunk; whether its stop tail is played; and the row played last.
         self.current: BufferedChunk | None = None
         self.on_tail, self.row = False, -1
 
     def take(self, serial: int) -> None:
-        """Advance to the chunk with a serial number."""
+        """Make the chunk with this serial number the current one."""
         while self.current is None or self.current.serial < serial:
             self.current, self.row = self.buffer.pop(), -1
 
     def take_tail(self) -> None:
-        """Advance to the stop tail of the current chunk, and drop the chunks after it."""
+        """Continue with the stop tail of the current chunk, and drop the chunks after it."""
         current = self.current
         self.empty()
         self.current, self.on_tail = current, True
 
     @property
     def rows(self) -> Setpoints:
-        """The setpoints of the current chunk, or of its stop tail, whichever is played."""
+        """The setpoints that are being played: the current chunk's, or those of its stop tail."""
         assert self.current is not None
         return self.current.chunk.tail if self.on_tail else self.current.chunk.samples
 
@@ -75,14 +75,14 @@ class PlanQueue:
         return 0 if self.current is None else int(self.current.chunk.samples.line[0])
 
     def count(self, setpoints: int, of_plan: bool = True) -> None:
-        """Count setpoints as played."""
+        """Add a number of played setpoints to those of the run, and to those of the plan."""
         self.played += setpoints
         self.played_of_plan += setpoints if of_plan else 0
 
     # What may come -------------------------------------------------------------------------------
 
     def make_room(self, run_id: RunId, state: RunState) -> None:
-        """Drop the waiting setpoints for a new plan; StreamError if it cannot begin now."""
+        """Drop the buffered setpoints to begin a new plan; StreamError if that is not allowed."""
         mine = self.run_id
         if not state.resting:
             raise StreamError(
@@ -109,14 +109,14 @@ class PlanQueue:
         self.buffer.clear(self._axes.setpoints[-1])
 
     def is_left(self, state: RunState) -> bool:
-        """Return whether a stop tail has replaced the plan; its other setpoints are ignored."""
+        """Return whether a stop has ended the plan; further setpoints of it are ignored."""
         return self.on_tail or state.plan_over
 
     def is_void(self, run_id: RunId, begins: FloatArray | None, state: RunState) -> bool:
-        """Return whether setpoints are void because the machine has left their plan.
+        """Return whether the setpoints of a plan are void because the machine has left that plan.
 
-        A plan is also void if its first setpoint, ``begins``, differs from the positions of the
-        axes after they were moved by hand.
+        A plan is also void if the axes were moved by hand and its first setpoint, ``begins``, is
+        not where they are now.
         """
         away = state.state is State.AWAY
         if begins is not None and len(self.away) and run_id.continues(self.run_id):
@@ -126,7 +126,7 @@ class PlanQueue:
         return run_id == self.run_id and (self.is_left(state) or away)
 
     def begins_elsewhere(self, begins: FloatArray) -> bool:
-        """Return whether this setpoint cannot be the first one of a motion from rest."""
+        """Return whether setpoint ``begins`` is too far away to start a motion from rest."""
         axes = self._axes
         if begins.shape != axes.setpoints[-1].shape:
             return False  # of another machine; the checks of its message report that
@@ -136,7 +136,7 @@ class PlanQueue:
     # What comes ----------------------------------------------------------------------------------
 
     def push(self, chunk: Chunk, functions: int) -> None:
-        """Append a chunk to the plan; ``functions``: number of functions executed in the run."""
+        """Append a chunk to the plan; ``functions``: how many the run has already executed."""
         last = self.buffer.chunks[-1] if self.buffer.chunks else self.current
         pushed = self._written(chunk, self.buffer.next_number, last, functions)
         if last is not None:
@@ -154,13 +154,13 @@ class PlanQueue:
         return BufferedChunk(serial, self.run_id, first, chunk, acts)
 
     def _speeds(self, chunk: Chunk) -> list[FloatArray]:
-        """Return the speed of the tip in a chunk and its stop tail, if an output follows it."""
+        """Return the tip speeds of a chunk and its stop tail; [] if no output follows them."""
         if not any(signal.speeds for signal in self._signals.wires):
             return []
         return [self._axes.tip_speeds(rows) for rows in (chunk.samples, chunk.tail)]
 
     def before_join(self, run_id: RunId, number: int, state: RunState) -> FloatArray:
-        """Return the last three setpoints before a join [m, rad]; StreamError if too late."""
+        """Return the three setpoints before a join at ``number`` [m, rad], or StreamError."""
         mine, buffer, row = self.run_id, self.buffer, self.row + 1
         waits = state.resting and number >= self.played_of_plan
         ahead = waits or (buffer.chunks and number >= buffer.chunks[0].after)
@@ -178,7 +178,7 @@ class PlanQueue:
     def join(
         self, run_id: RunId, number: int, chunk: Chunk, state: RunState, functions: int
     ) -> None:
-        """Replace setpoints from a number on by a plan's first chunk; StreamError if too late."""
+        """Replace setpoint ``number`` and all later ones by a chunk; StreamError if too late."""
         newest, buffer = self.before_join(run_id, number, state), self.buffer
         kept = [c for c in buffer.chunks if c.after <= number]
         split = next((c for c in buffer.chunks if c.first < number < c.after), None)
@@ -204,7 +204,7 @@ class PlanQueue:
         self.run_id = run_id
 
     def way_to_rest(self, resting: bool) -> AxisRows:
-        """Return the setpoints, down to rest, that are played if no new plan arrives."""
+        """Return the stop that would follow the last played setpoint."""
         if resting or self.current is None:
             return AxisRows.held(self._axes.setpoints[-1], 0)
         return axis_rows(

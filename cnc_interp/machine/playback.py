@@ -1,7 +1,7 @@
 """The state of a run while the cycle plays its setpoints, and how events change it.
 
-After a stop tail the plan is over, and the next plan begins at the positions where the machine
-rests. ``plan_queue.py`` holds the setpoints of the plans.
+A stop tail ends its plan, and the next plan begins where the axes rest. ``plan_queue.py`` holds
+the setpoints of the plans.
 """
 
 from collections import deque
@@ -44,7 +44,7 @@ from cnc_interp.machine_model.signals import (
 from cnc_interp.run.run_state import NO_RUN, Event, Reason, RunId, RunState, State, WaitsFor
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
-#: Event and reason when the machine rests after the last setpoint of a chunk.
+#: Event and reason if the machine rests after the last setpoint of a chunk, for each wait.
 RESTS = {
     Wait.NOTHING: (Event.FILL, Reason.NONE),
     Wait.OVERRIDE: (Event.PAUSE, Reason.OVERRIDE),
@@ -57,43 +57,43 @@ RESTS = {
 }
 STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
 NO_POWER = 'the power fails; wait until it is back, then reset'
-LOST = 2.0  #: The planner counts as lost after this wait for setpoints [s].
-#: Motion that is read in one call if much is buffered and nothing else happens [s].
+LOST = 2.0  #: If no setpoints arrive for this time, the planner counts as lost [s].
+#: Duration of motion that one call reads, if enough is buffered and no event occurs [s].
 TOGETHER = 0.01
-SPARE_CHUNKS = 4096  #: Chunks that may wait in addition to one per setpoint of a full buffer.
+SPARE_CHUNKS = 4096  #: Slots for chunks, in addition to one for each setpoint of a full buffer.
 
 
 class Executed(NamedTuple):
-    """Consecutive executed setpoints, with the positions of the axes [m, rad]."""
+    """Consecutive executed setpoints, with the actual positions of the axes [m, rad]."""
 
     run_id: RunId  #: The plan.
-    number: int  #: Number of the first setpoint in the run.
+    number: int  #: Number of the first of these setpoints in the run.
     rows: Setpoints
     actual: FloatArray
-    ends: bool  #: Whether the program ends with them.
+    ends: bool  #: Whether the program ends with these setpoints.
 
 
 class Contact(NamedTuple):
     run_id: RunId
-    line: int  #: Of the source.
-    position: FloatArray  #: (n_axes,): Positions of the axes at that time [m, rad].
+    line: int  #: Line of the source.
+    position: FloatArray  #: (n_axes,): Positions of the axes at the contact [m, rad].
     at_once: bool  #: Whether the probe had answered before the line began.
 
 
 class Followed(NamedTuple):
-    """Setpoints in step with the spindle, and its angle when the drives answered them."""
+    """Setpoints in step with the spindle, and the spindle angle in the same periods."""
 
     run_id: RunId
     block: int
-    line: int  #: Of the source.
-    ramp: float  #: Turns that the axes need to get in step.
+    line: int  #: Line of the source.
+    ramp: float  #: Turns of the spindle until the axes are in step.
     position: FloatArray  #: (K, n_axes): Setpoints [m, rad].
-    angle: FloatArray  #: (K,) [rev].
-    later: int  #: Number of periods by which the angle is later than its setpoint.
+    angle: FloatArray  #: (K,): Angle of the spindle [rev].
+    later: int  #: Periods from a setpoint until the drives are at it.
 
 
 class Reached(NamedTuple):
-    """Where a setpoint lies in the program: block, source line and path length [m]."""
+    """Place of a setpoint in the program: block, source line and path position ``s`` [m]."""
 
     block: int
     line: int
@@ -106,19 +106,19 @@ class Reached(NamedTuple):
 
 @dataclass
 class Progress:
-    """State that belongs to one run only."""
+    """Values that are reset when a run begins."""
 
-    last: Reached | None = None  #: The setpoint played last.
-    finishing: bool = False  #: Whether the last functions of the run are waiting.
-    answered: bool = False  #: Whether the probe has answered.
+    last: Reached | None = None  #: Place in the program of the last played setpoint.
+    finishing: bool = False  #: Whether the run still executes its last functions.
+    answered: bool = False  #: Whether the probe has changed and ended its line.
     waited: float = 0.0  #: Time spent waiting for setpoints [s].
-    #: Whether setpoints of a line that follows the spindle are skipped; whether a hold follows it.
+    #: Whether the setpoints of a followed line are skipped; whether a hold follows the line.
     passing: bool = False
     held_after: bool = False
 
 
 class Playback:
-    """The state of the run; it starts when ``full`` setpoints wait."""
+    """The state of the run; its motion starts as soon as ``full`` setpoints are buffered."""
 
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
         self.axes = AxisMotion(machine, period, drives.lag, drives.position)
@@ -172,7 +172,7 @@ class Playback:
         self.plans.empty()
 
     def shift(self, drives: HomedDrives, by: FloatArray) -> None:
-        """Shift the positions of the axes at rest by ``by`` [m, rad]. Nothing moves."""
+        """Add ``by`` [m, rad] to the position values of the axes at rest; nothing moves."""
         drives.shift(by)
         self._place(drives.position)
 
@@ -211,12 +211,12 @@ class Playback:
         self._forget_run(run_id)
 
     def make_room(self, run_id: RunId) -> None:
-        """Drop the waiting setpoints for a new plan; StreamError if it cannot begin now."""
+        """Drop the buffered setpoints to begin a new plan; StreamError if that is not allowed."""
         self.read()
         self.plans.make_room(run_id, self.state)
 
     def begin_plan(self, run_id: RunId) -> None:
-        """Prepare for a new run, or for another plan of the run from where the axes rest."""
+        """Begin a new run, or another plan of the current run from where the axes rest."""
         if run_id.program_id != self.plans.run_id.program_id or self.state.completed:
             self.begin(run_id)
             return
@@ -255,7 +255,7 @@ class Playback:
                 raise StreamError('jog is not possible: a program is about to start')
 
     def begin_jog(self, run_id: RunId, chunk: Chunk) -> None:
-        """Begin a motion by hand at once; in a hold the run is kept, and a new plan leads back."""
+        """Begin a motion by hand; a run on hold is kept, and a new plan leads back to its path."""
         self.check_jog()
         plans = self.plans
         if self.state.state is State.HELD:
@@ -268,7 +268,7 @@ class Playback:
         self.cycle.start(plans.buffer.chunks[0].serial)
 
     def push(self, chunk: Chunk) -> bool:
-        """Put a chunk into the buffer, unless its plan or its motion by hand is over."""
+        """Buffer a chunk; return False if its plan or its motion by hand has already ended."""
         by_hand = self.state.by_hand
         self.look()
         over = by_hand and not self.state.by_hand
@@ -278,12 +278,12 @@ class Playback:
         return True
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
-        """Return the last three setpoints before a join [m, rad]; StreamError if too late."""
+        """Return the three setpoints before a join at ``number`` [m, rad], or StreamError."""
         self.read()
         return self.plans.before_join(run_id, number, self.state)
 
     def join(self, run_id: RunId, number: int, chunk: Chunk) -> None:
-        """Replace setpoints from a number on by a plan's first chunk; StreamError if too late."""
+        """Replace setpoint ``number`` and all later ones by a chunk; StreamError if too late."""
         self.read()
         self.plans.join(run_id, number, chunk, self.state, self.switching.functions)
 
@@ -308,7 +308,7 @@ class Playback:
         self.state = self.state.after(Event.RESUME)
 
     def refuse(self, reason: str) -> None:
-        """Play the buffered setpoints, stop on the path and go to FAULT: no more will arrive."""
+        """Play the buffered setpoints, then stop on the path and go to FAULT for ``reason``."""
         self.read()
         self._handle(Event.REFUSE, detail=reason)
 
@@ -335,7 +335,7 @@ class Playback:
     # Outputs ------------------------------------------------------------------------------------
 
     def switch(self, acts: Sequence[Act]) -> None:
-        """Set outputs one after the other; StreamError unless at rest without a program."""
+        """Set outputs one after the other; StreamError if axes move or a program is active."""
         self.read()
         if self.state.state is not State.IDLE or self.plans.buffer.count:
             text = self.state.text or self.state.state.value
@@ -357,7 +357,7 @@ class Playback:
         self.switching.stop(word)
 
     def _see_answer(self, number: int) -> None:
-        """Record that the probe answered in the period of a setpoint, and stop."""
+        """Record the contact of the probe during setpoint ``number``, and stop on the path."""
         moving = (State.RUNNING, State.HOLDING, State.STARVING)
         if self.last is None or self.state.state not in moving:
             return
@@ -376,7 +376,7 @@ class Playback:
             self._switch_off(EMERGENCY if emergency else FAULT)
 
     def _work(self, seconds: float) -> None:
-        """Continue setting the outputs at rest; start what may start."""
+        """Continue to set outputs, and start the motion if all conditions are met."""
         switching = self.switching
         waits = self.state.waits_for in (WaitsFor.SETPOINTS, WaitsFor.NEW_PLAN)
         self._see_stop()
@@ -432,7 +432,7 @@ class Playback:
         self.read()
 
     def look(self) -> None:
-        """Read the cycle; motion along a program is read several periods at a time."""
+        """Read the records of the cycle; for a program, only once several periods are recorded."""
         waits = self._delayed is not None or self.switching.busy
         if waits or self.state.by_hand or self.cycle.has_news(self._together):
             self.read()
@@ -453,7 +453,7 @@ class Playback:
         self._work(count * self.axes.period)
 
     def _take_over(self, records: Records) -> None:
-        """Process some periods of one source of setpoints; only the first may have an event."""
+        """Process periods with the same source of setpoints; only the first may have events."""
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
             source = kernel.REST  # delayed drives have failed in the meantime
@@ -497,7 +497,7 @@ class Playback:
         return f'{name} is on its {end} limit switch; after the reset jog it off'
 
     def _starve(self) -> None:
-        """Leave the plan: the next setpoints are late, or will never come."""
+        """Leave the plan after an underrun, or because the stream was rejected."""
         self.figures.starvations += 1
         if self.state.refusal:
             reason, detail = Reason.STREAM_REFUSED, self.state.refusal
@@ -506,7 +506,7 @@ class Playback:
             self.state = self.state.after(Event.STARVE, Reason.STARVED, str(self.plans.played))
 
     def _rest(self, on_tail: bool) -> None:
-        """Rest on the path; after a stop a new plan must follow, otherwise setpoints continue."""
+        """Come to rest on the path; a stop (``on_tail``) ends the plan, other rests do not."""
         current = self.plans.current
         if on_tail or self.state.leaves_plan or current is None:
             self.plans.empty()
@@ -528,7 +528,7 @@ class Playback:
         self.state = self.state.after(*RESTS[wait])
 
     def _fail(self, records: Records) -> None:
-        """Go to FAULT: the cycle has rejected a setpoint, or the drives have."""
+        """Go to FAULT because the cycle or the drives have rejected a setpoint."""
         row = int(records.row[0])
         if int(records.events[0]) & kernel.FAILED:
             self._handle(Event.FAIL, Reason.DRIVE_FAULT, self.drives.fault(row))
@@ -538,7 +538,7 @@ class Playback:
         self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, fault)
 
     def _alarm(self, cause: str) -> None:
-        """Stop on the path because of an alarm of the drives; at rest, go to FAULT at once."""
+        """Stop on the path and go to FAULT because of an alarm of the drives."""
         if self.state.state is not State.INACTIVE and self.state.reason is not Reason.DRIVE_FAULT:
             self._handle(Event.STOP, Reason.DRIVE_FAULT, cause)
 
@@ -551,7 +551,7 @@ class Playback:
         self.followed.append(Followed(*line, wanted, records.angle, self._later))
 
     def _pass_over(self) -> None:
-        """Record the played setpoints of a line in step with the spindle."""
+        """Record all setpoints of a line that was executed in step with the spindle."""
         progress, plans = self._progress, self.plans
         while progress.passing:
             if plans.current is None:

@@ -14,24 +14,24 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 
 THERE = TRAVEL_SLACK  #: An axis nearer than this to its target has arrived [m, rad].
-#: Share of the drives' limits for the bends that errors add to a motion by hand, and share for
-#: its nominal axes; the rest is room for the slope of the errors [-].
+#: Share of the drives' limits for curvature that geometric errors add to a motion by hand, and
+#: share for its nominal axes; the rest is a reserve for the slope of the errors [-].
 BENT, KEPT = 0.1, 0.75
-TINY = 1e-12  #: Smaller bends count as zero.
+TINY = 1e-12  #: Lower bound for slopes and curvatures of the errors, by which others are divided.
 
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """Slides for motion by hand: m straight lines in the n axes, ``q = origin + x @ direction``.
+    """Slides for motion by hand: m coordinates x that move n axes: ``q = origin + x @ direction``.
 
-    The axes q are nominal ones; ``positions`` and ``motion`` are those of the drives.
+    The axes q are nominal; ``positions`` and ``motion`` return commanded axes.
     """
 
     origin: FloatArray  #: (n,): Axis positions at x = 0 [m, rad].
     direction: FloatArray  #: (m, n): Motion of the axes per unit of each coordinate x.
-    limits: Limits  #: Of the m coordinates, constant ones.
+    limits: Limits  #: Limits of the m coordinates, equal at all positions.
 
-    #: From nominal axes to those of the drives, and the travel of these (n, 2) if they differ.
+    #: Map from nominal to commanded axes, and the travel (n, 2) of these if errors are mapped.
     errors: ErrorMap = field(default=NO_ERRORS, kw_only=True)
     travel: FloatArray | None = field(default=None, kw_only=True)
 
@@ -48,9 +48,9 @@ class Slides:
         return bool(((q >= low - THERE) & (q <= high + THERE)).all())
 
     def motion(self, rows: FloatArray, jerk: FloatArray) -> FloatArray:
-        """Return positions, velocities, accelerations and jerks of the axes, (4, k, n).
+        """Return positions, velocities, accelerations and jerks of the commanded axes, (4, k, n).
 
-        ``rows`` (k, 3, m): the first three of the coordinates x; ``jerk`` (k, m).
+        ``rows`` (k, 3, m): x with two derivatives; ``jerk`` (k, m): the third one.
         """
         x, v, a = rows.swapaxes(0, 1)
         rates = (part @ self.direction for part in (v, a, jerk))
@@ -62,13 +62,13 @@ class Slides:
 
     @staticmethod
     def of_drives(machine: Machine) -> Slides:
-        """Return one slide for each axis of the drives; x is q."""
+        """Return one slide for each axis without its geometric errors; x is q."""
         n = len(machine.axis_names)
         return Slides(np.zeros(n), np.eye(n), machine.limits.lowest)
 
     @staticmethod
     def of_axes(machine: Machine) -> Slides:
-        """Return one slide for each nominal axis; its limits keep those of the drives, too."""
+        """Return one slide for each nominal axis, with limits that commanded axes also keep."""
         drives, errors = Slides.of_drives(machine), machine.errors
         if errors is None:
             return drives

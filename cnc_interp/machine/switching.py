@@ -1,7 +1,7 @@
-"""Outputs that are set one after the other while the path rests, and outputs of a stop.
+"""Set outputs one after the other while the axes rest on the path, or at a stop.
 
-Before an output is set, the interlocks of the machine file are checked. This room alone needs to
-check them, because every function that can break one makes the path rest.
+Before an output is set, the interlocks of the machine file are checked. No other code checks them,
+because every function that can break an interlock is executed at rest.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, TIMED, Signals
 from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Wait
 
-NO_FUNCTION = -1  #: Number of an output change that no function of the program makes.
-LEAST_DELAY = 0.02  #: Least time between setting an output and reading the input that answers [s].
+NO_FUNCTION = -1  #: ``Act.number`` of an output change that belongs to no function of the run.
+LEAST_DELAY = 0.02  #: Shortest time from setting an output to reading its answer [s].
 
 
 class Act(NamedTuple):
-    """An output change, and the condition awaited after it."""
+    """An output change, and the condition that is awaited after it."""
 
     step: Step
     value: float
     number: int = NO_FUNCTION  #: Number of the function in the run.
-    place: int = 0  #: Number of the step in the machine file.
-    block: int = 0  #: Block at whose begin it acts.
-    line: int = 0  #: Of the source.
+    place: int = 0  #: Index of the step in ``Signals.steps``.
+    block: int = 0  #: Block at the beginning of which it acts.
+    line: int = 0  #: Line of the source.
     before_stop: bool = False  #: Whether it acts before the program stop at its block.
 
     @property
     def limit(self) -> float:
-        """The longest wait [s]."""
+        """Longest wait for the condition [s]."""
         return self.value if self.step.word[:3] == 'M66' else self.step.limit
 
 
 class ActsOfChunk(NamedTuple):
-    rows: list[tuple[int, Act]]  #: Acts at a row of the chunk's setpoints.
-    tail: list[tuple[int, Act]]  #: Acts at a row of its stop tail.
+    rows: list[tuple[int, Act]]  #: Row of the chunk's setpoints, and act there.
+    tail: list[tuple[int, Act]]  #: Row of its stop tail, and act there.
     end: list[Act]  #: Acts after the end of the program.
     after: int  #: Number of the first function after the chunk.
 
     @staticmethod
     def of(chunk: Chunk, signals: Signals, expected: int) -> ActsOfChunk:
-        """Find the rows of a chunk's functions from a number on; StreamError if impossible."""
+        """Find the rows at which functions number ``expected`` and later act, or StreamError."""
         functions, first = chunk.functions, chunk.first_function
         if len(functions) and first > expected:
             raise StreamError(f'functions {expected} to {first - 1} are missing')
@@ -73,7 +73,7 @@ class ActsOfChunk(NamedTuple):
         return ActsOfChunk(rows, tail, end, expected + len(rows) + len(end))
 
     def head(self, count: int, length: int) -> ActsOfChunk:
-        """Return the acts of the first ``length`` setpoints; the others move to the tail."""
+        """Return the acts if the chunk of ``length`` setpoints is cut after ``count``."""
         rows = [(row, act) for row, act in self.rows if row < count]
         moved = [(row - count, act) for row, act in self.rows if row >= count]
         moved += [(row + length - count, act) for row, act in self.tail]
@@ -83,7 +83,7 @@ class ActsOfChunk(NamedTuple):
 
     @property
     def switches(self) -> tuple[FloatArray, FloatArray]:
-        """Return row, output and value for the cycle, (k, 3), of setpoints and stop tail."""
+        """Return the output changes of setpoints and stop tail: row, output and value, (k, 3)."""
         parts = (
             [(row, act.step.output, act.value) for row, act in acts]
             for acts in (self.rows, self.tail)
@@ -93,7 +93,7 @@ class ActsOfChunk(NamedTuple):
 
     @property
     def waiting(self) -> int:
-        """Number of acts of row 0 that must be done before the path continues."""
+        """Number of acts at row 0 that must be completed before motion continues."""
         first = [act for row, act in self.rows if row == 0]
         return max((k + 1 for k, act in enumerate(first) if act.step.rests), default=0)
 
@@ -106,12 +106,12 @@ class Switching:
         self._breach = ''  # the interlock that keeps the first one from being set
         self._is_set = self._answered = False  # the first one of the queue
         self._waited = 0.0  # since it was set [s]
-        #: Acts of functions that are not published yet, with the run and the preceding setpoint.
+        #: Executed acts to be published: run, act, and number of the setpoint.
         self.switched: deque[tuple[RunId, Act, int]] = deque()
         self.begin()
 
     def begin(self) -> None:
-        """Begin a run without executed functions; outputs that a stop has set remain."""
+        """Begin a run: no function is executed yet. Pending outputs of a stop stay queued."""
         self._forget()
         self.functions = self._queued = 0  # set so far; number after those that wait
         self.off = ''  # which of ``signals.STOPS`` has switched off
@@ -134,7 +134,7 @@ class Switching:
 
     @property
     def asks(self) -> str:
-        """Task that the operator must do before the run continues; empty if there is none."""
+        """What the operator must do before the run continues; '' if nothing."""
         if self._queue and self._breach:
             return f'{self._breach}; correct this, then press cycle start to try again, or reset'
         if not (self._queue and self._is_set) or self._answered:
@@ -160,12 +160,12 @@ class Switching:
 
     @property
     def waits_for_answer(self) -> str:
-        """Return the answer of the machine that is awaited; '' if motion would not disturb it."""
+        """Text of the input that is awaited and forbids motion by hand; '' if there is none."""
         waits = self._queue and self._is_set and self._queue[0].step.wait not in (NO_WAIT, ASK)
         return self.text if waits else ''
 
     def refusal(self, acts: Iterable[Act]) -> str:
-        """Return the interlock that these acts would break, up to the first act that waits."""
+        """Return the interlock that ``acts`` break, up to the first act that waits; '' if none."""
         outputs = self._commanded.copy()
         for act in acts:
             if breach := self._breach_of(act, outputs):
@@ -183,7 +183,7 @@ class Switching:
         return self._signals.breach(act.step.output, act.value, known)
 
     def stop(self, word: str) -> None:
-        """Switch off the outputs of a word of ``signals.STOPS`` now, and mute later setpoints."""
+        """Switch off at once the outputs that ``word`` of ``signals.STOPS`` switches off."""
         self._queue.clear()
         self._is_set, self._breach = False, ''
         off = list(self._signals.off.get(word, ()))
@@ -195,13 +195,13 @@ class Switching:
         self.work(0.0, lambda _: True)
 
     def _as_before(self, output: int, value: float) -> Act:
-        """Return the act that sets an output again and waits for the answer of its function."""
+        """Return the act that restores an output value; it waits like the program's function."""
         steps = (step for step in self._signals.steps if step.word not in STOPS)
         found = (step for step in steps if (step.output, step.value) == (output, value))
         return Act(next(found, Step('', output, value)), value)
 
     def forget_states(self, follows: bool) -> None:
-        """Drop the state that belongs to one run alone."""
+        """Disarm the probe; reset the spindle states unless the axes follow the spindle."""
         if self._signals.probe:
             for outputs in (self._commanded, self._drives.outputs):
                 outputs[self._signals.probe[0]] = 0.0
@@ -209,7 +209,7 @@ class Switching:
             self._commanded[self._signals.wired :] = 0.0
 
     def queue(self, acts: ActsOfChunk, starts: bool, stops: bool) -> None:
-        """Queue acts that must be done before the path continues or a program stop waits."""
+        """Queue the acts before motion (``starts``) or before a program stop (``stops``)."""
         if starts and self.off:  # after a lost planner
             self._forget()
             self.add(self._as_before(*each) for each in self._were_on.items())
@@ -222,7 +222,7 @@ class Switching:
                 self._queued = act.number + 1
 
     def note(self, act: Act, run_id: RunId, sample: int) -> None:
-        """Record a function that acted with a setpoint of a run, unless already recorded."""
+        """Record that a function acted at setpoint ``sample``, unless it is already recorded."""
         if act.number < self.functions:
             return
         self.functions = act.number + 1
@@ -235,7 +235,7 @@ class Switching:
         self._is_set, self._breach = self._is_set and bool(self._queue), ''
 
     def work(self, seconds: float, may_begin: Callable[[Act], bool]) -> list[Act]:
-        """Advance the time and return the acts that were done."""
+        """Advance the time by ``seconds``; set outputs that are due and return their acts."""
         done = []
         self._waited += seconds
         while self._queue:

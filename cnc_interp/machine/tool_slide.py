@@ -1,8 +1,8 @@
-"""The tool along its own axis by hand: one coordinate, which X Y Z or the joints of an arm follow.
+"""Motion of the tool along its axis by hand: X Y Z or an arm's joints follow one coordinate x.
 
-The joints are a curve q(x), so the limits of x come from its three derivatives. The lowest limits
-along the travel apply. The travel of x ends before a joint leaves its travel, or must move
-much faster than at the start of the motion, as near a singular pose.
+The joints of an arm follow a curve q(x), whose first three derivatives give the limits of x. The
+lowest limits along the travel apply. The travel of x ends before a joint leaves its travel. It
+also ends where a joint would move much faster than at the start, as near a singular pose.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import Machine, arm_of
 from cnc_interp.machine_model.transform_port import Transform, tool_line
 
-STEPS = 200  #: Places on each side at which the curve is known before the motion.
-#: Largest rate of a joint per length over that at the beginning; share of the limits that is
-#: used, because the curve is known only at some places [-].
+STEPS = 200  #: Number of points on each side of x = 0 at which q(x) is computed before the motion.
+#: Largest joint rate dq/dx over that at the start; and share of the limits that is used, because
+#: q(x) is computed only at some points [-].
 FASTER, MARGIN = 2.0, 0.9
 
 
 def along_tool(machine: Machine, stands: FloatArray) -> Slides:
-    """Return the slide along the constant tool axis; x = 0 at a nominal position."""
+    """Return the slide along the tool axis; x = 0 at the nominal axis positions ``stands``."""
     transform = Transform.of(machine)
     if isinstance(transform, JointChain):
         return ArmSlide.of(transform, stands)
@@ -46,15 +46,15 @@ def along_tool(machine: Machine, stands: FloatArray) -> Slides:
 
 @dataclass(frozen=True, eq=False)
 class ArmSlide(Slides):
-    chain: JointChain  #: With the spin that the tool keeps.
+    chain: JointChain  #: The arm with the spin that the tool keeps.
     tip: FloatArray  #: (3,): Tip at x = 0 [m].
-    axis: FloatArray  #: (3,): Tool axis, along which x counts.
-    places: FloatArray  #: (k,): Known places x [m].
-    known: FloatArray  #: (k, n): Joints there [rad].
+    axis: FloatArray  #: (3,): Tool axis, along which x is measured.
+    places: FloatArray  #: (k,): Values of x at which the joints are known [m].
+    known: FloatArray  #: (k, n): Joints at these values [rad].
 
     @staticmethod
     def of(chain: JointChain, stands: FloatArray) -> ArmSlide:
-        """Return the slide of an arm's tool from the joint positions (n,) [rad]."""
+        """Return the slide of an arm's tool; x = 0 at joint positions ``stands`` (n,) [rad]."""
         limits = chain.machine.limits.lowest
         chain = chain.spun(chain.spin_at(stands))
         tip, axis = (rows[0] for rows in chain.forward(stands[None]))
@@ -114,7 +114,7 @@ class ArmSlide(Slides):
         )
 
     def _follow(self, x: FloatArray) -> FloatArray:
-        """Return q with three Taylor coefficients at places x (k, 1), (k, 4, n)."""
+        """Return q and three more Taylor coefficients of q(x) at x (k, 1); shape (k, 4, n)."""
         low, high = self.places[[0, -1]]
         if x.min(initial=low) < low - THERE or x.max(initial=high) > high + THERE:
             ends = f'{low / MM:z.1f} to {high / MM:z.1f} mm'

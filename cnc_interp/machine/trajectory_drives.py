@@ -1,9 +1,9 @@
 """Drives moved along trajectories by the joint_trajectory_controller of ros2_control.
 
 The controller executes played setpoints after a fixed delay. Each trajectory contains the played
-setpoints that are not executed yet, and then the way to rest. All trajectories of a motion count
-time from the same instant, and their points lie on the same grid, so that one continues the other
-exactly. Without further trajectories, the controller comes to rest on the path.
+setpoints that are not executed yet, and then a stop. All trajectories of a motion count time from
+the same instant, and their points lie on the same time grid, so that each continues the previous
+one exactly. If no further trajectory arrives, the controller comes to rest on the path.
 """
 
 import time
@@ -15,22 +15,22 @@ from cnc_interp.core import DEG, MM, FloatArray, IntArray
 from cnc_interp.machine.drives import AxisFeedback, AxisRows, DelayedDrives, DriveFaultError
 from cnc_interp.machine_model.machine import Machine
 
-SPACING = 0.004  #: Time between points; the controller interpolates between them [s].
-SENDING = 0.02  #: Time between trajectories in motion [s].
-OVERLAP = 0.02  #: A trajectory begins this much before the point being executed [s].
-RESERVE = 0.25  #: New points must be sent this share of the delay before they are due [-].
-LATEST = 1.0  #: Age up to which reports are compared with the commands of their time [s].
-#: Largest silence counted per call, because this program may have stalled [s].
+SPACING = 0.004  #: Time between the points of a trajectory [s].
+SENDING = 0.02  #: Least time between two trajectories that are sent [s].
+OVERLAP = 0.02  #: A trajectory begins this long before the point being executed [s].
+RESERVE = 0.25  #: Points must be sent earlier than due by this share of the delay [-].
+LATEST = 1.0  #: Older reports are not compared with the commands of their time [s].
+#: One call counts at most this much silence, because this program may have stalled [s].
 SILENCE_OF_A_CALL = 0.05
-SLOWER = 2e-3  #: A robot that is slower than commanded by this share stops [-].
-POWER_UP, SETTLING = 5.0, 0.1  #: Longest waits for the controller, and for its axes to settle [s].
+SLOWER = 2e-3  #: A robot that runs slower than full speed by more than this share is stopped [-].
+POWER_UP, SETTLING = 5.0, 0.1  #: Longest wait for the controller; settling time [s].
 
 
 class Trajectory(NamedTuple):
-    """Points for the controller at increasing times; the last one is at rest."""
+    """Points for the controller in the order of time; the last one is at rest."""
 
-    start: int  #: ROS time that is zero for the times of the points [ns].
-    times: IntArray  #: (K,): Time at which each point is due [ns].
+    start: int  #: ROS time from which ``times`` count [ns].
+    times: IntArray  #: (K,): Time at which each point is due, after ``start`` [ns].
     rows: AxisRows  #: The points.
 
 
@@ -44,16 +44,16 @@ class JointReport(NamedTuple):
 class Controller(Protocol):
     @property
     def name(self) -> str:
-        """Names of the controller and of the topic with its positions, for messages to users."""
+        """Names of the controller and of its position topic, for messages to users."""
 
     def now(self) -> int:
-        """Return the time of ROS [ns]."""
+        """Return the current ROS time [ns]."""
 
     def listens(self) -> bool:
-        """Return whether a controller receives trajectories."""
+        """Return whether a controller is subscribed to the trajectories."""
 
     def speed(self) -> float:
-        """Return the last reported speed of execution, as a share of full speed [-]."""
+        """Return the speed that the controller reported last, as a share of full speed [-]."""
 
     def send(self, trajectory: Trajectory) -> None:
         """Send a trajectory that replaces the previous one."""
@@ -66,7 +66,7 @@ class Controller(Protocol):
 
 
 class TrajectoryDrives(DelayedDrives):
-    """Drives that a trajectory controller moves; see ``drives.DelayedDrives``.
+    """Drives that are moved by a trajectory controller; see ``drives.DelayedDrives``.
 
     ``delay``: time from a setpoint in the cycle to its execution [s]; ``limits``: largest
     following error of each axis [m, rad]; ``silence``: time after which the feedback counts as
@@ -92,8 +92,8 @@ class TrajectoryDrives(DelayedDrives):
         self._step = max(1, round(SPACING / period))
         self._linear = machine.is_linear
         self._limits = limits
-        #: Rows that the controller may still need, and older ones for comparison with late
-        #: reports.
+        #: Number of played rows that the controller may still need; then the number of rows
+        #: that are kept, with older ones for late reports.
         self._needed = int(np.ceil((delay + OVERLAP) / period)) + self._step
         self._kept = self._needed + round(LATEST / period)
         self._on, self.alarm = False, ''
@@ -131,7 +131,7 @@ class TrajectoryDrives(DelayedDrives):
         return (settles if near else found).copy()
 
     def switch_on(self) -> None:
-        """Wait until the axes rest; the controller holds them."""
+        """Wait until the controller holds the axes at rest."""
         asked = self._controller.now()
         settled = max(asked, self._time_of(self._told_from + len(self._told)))
         settled += round(SETTLING * 1e9)
@@ -159,7 +159,7 @@ class TrajectoryDrives(DelayedDrives):
         self._controller.close()
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
-        """Accept setpoints, and send new ones to the controller; see ``drives.DelayedDrives``."""
+        """Accept played setpoints and the stop after them; send them if they are new."""
         self._remember(played)
         news = self._news(stop) if self._on else None
         if news is not None:
@@ -169,7 +169,7 @@ class TrajectoryDrives(DelayedDrives):
         return self._feedback(len(played))
 
     def _remember(self, played: AxisRows) -> None:
-        """Append rows to the played ones. At rest, choose the instant from which times count."""
+        """Append rows to the played ones. At rest, reset the instant from which times count."""
         self._played += len(played)
         self._rows = AxisRows.concatenate([self._rows, played])[-self._kept :]
         recent = self._rows.position[-self._needed :]
@@ -183,7 +183,7 @@ class TrajectoryDrives(DelayedDrives):
         return self._zero + number * self._period + self._delay
 
     def _news(self, stop: AxisRows) -> int | None:
-        """Return the number of the first row that is not yet sent in its current form, or None."""
+        """Return the number of the first row that differs from what was sent, or None."""
         count = min(self._played - self._told_from, self._kept)
         first = self._played - count  # rows before it are forgotten
         told = self._told.position[min(first - self._told_from, len(self._told) - 1) :]
@@ -220,7 +220,7 @@ class TrajectoryDrives(DelayedDrives):
         return reports
 
     def _feedback(self, count: int) -> AxisFeedback:
-        """Return the feedback of the last periods; each has the last report of its time."""
+        """Return the feedback of the last ``count`` periods: the latest report before each end."""
         before = self._report
         new = self._take_reports()
         self._silence += min(count * self._period * 1e-9, SILENCE_OF_A_CALL)
@@ -238,7 +238,7 @@ class TrajectoryDrives(DelayedDrives):
         return AxisFeedback(position[last], velocity[last], answered[last])
 
     def _answered(self, stamps: IntArray) -> FloatArray:
-        """Return the commanded positions at some times, interpolated by cubics [m, rad]."""
+        """Return the commanded positions at ROS times [ns], interpolated by cubics [m, rad]."""
         at = (stamps - (self._zero + self._delay)) / self._period - (self._played - self._kept)
         at = np.clip(at, 0.0, self._kept - 1.0)
         row = np.minimum(at.astype(np.int64), self._kept - 2)
@@ -249,7 +249,7 @@ class TrajectoryDrives(DelayedDrives):
         return p[row] + u * (slope + u * (step - slope - bend + u * bend))
 
     def _slow(self) -> str:
-        """Return why a robot that does not keep to the times of its trajectories must stop."""
+        """Return the alarm text if the robot runs slower than commanded, else ''."""
         share = self._controller.speed()
         if not share < 1.0 - SLOWER:
             return ''

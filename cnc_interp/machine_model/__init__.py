@@ -1,1 +1,1 @@
-"""The machine: its file, axes and drives, and its kinematics."""
+"""The model of the machine: its file, axes, drives and kinematics."""

@@ -1,7 +1,7 @@
-"""Entries of a machine file that describes an arm: a chain of joints from a URDF, and limits.
+"""Read the machine file of an arm: its chain of joints from a URDF, and their limits.
 
-The last six joints are those of the arm. Joints before them, a rail or a positioner, are further
-axes of the program: U, V, W slide, and E1, E2, E3 turn.
+The last six joints of the chain are the arm. Joints before them belong to a rail or a positioner.
+Programs name these *further joints* as axes: U, V, W if they slide, and E1, E2, E3 if they turn.
 """
 
 import subprocess
@@ -38,42 +38,42 @@ from cnc_interp.machine_model.machine_entries import (
     require_known,
 )
 
-LONGEST_URDF = 1 << 22  #: [bytes].
-TOPIC = 'topic '  #: Start of ``urdf`` if it names a topic of ROS, not a file.
-#: Guessed times in which a joint reaches its largest velocity and acceleration [s].
+LONGEST_URDF = 1 << 22  #: Largest size of a URDF [bytes].
+TOPIC = 'topic '  #: Beginning of the entry ``urdf`` if it names a ROS topic instead of a file.
+#: Guessed times to reach the largest velocity, and the largest acceleration, of a joint [s].
 GUESS = (0.4, 0.1)
 ORDERS = ('velocity', 'acceleration', 'jerk')
-MOST_FURTHER = 3  #: Largest number of further joints.
+MOST_FURTHER = 3  #: Largest number of joints of rail and positioner.
 ORIGIN = {'xyz': '0 0 0', 'rpy': '0 0 0'}
 
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm at zero, in the workpiece frame W: six joints, then further ones from the part on."""
+    """Geometry of an arm in W, all joints at zero. The six joints of the arm come first."""
 
-    joints: tuple[str, ...]  #: Names in the URDF.
-    further: tuple[str, ...]  #: Letters of the further joints in programs.
-    #: All its joints, parents before children; those to ``tool_tip`` and ``workpiece`` included.
+    joints: tuple[str, ...]  #: Names of the joints in the URDF.
+    further: tuple[str, ...]  #: Names of the further joints in programs.
+    #: All joints, parents before children, with those to ``tool_tip`` and ``workpiece``.
     tree: tuple[Joint, ...]
-    urdf: str  #: Its URDF.
+    urdf: str  #: Text of its URDF.
     lines: FloatArray  #: (n, 6): Direction of each joint [-], and a point on it [m].
-    #: (3, 3): Tip [m], side and axis of the tool [-]; the axis points away from the part.
+    #: (3, 3): Position of the tip [m], X of the TCP [-], and tool axis [-].
     tool: FloatArray
-    #: (n,): Positions near which configurations are preferred [rad]; those of further joints are
-    #: where programs begin [m or rad].
+    #: (n,): Joint positions [rad]; configurations near them are preferred. Programs begin with the
+    #: further joints at these positions [m or rad].
     home: FloatArray
-    spin: float  #: Turn of the tool about its axis [rad].
+    spin: float  #: Rotation of the tool about its own axis [rad].
     guessed: tuple[str, ...] = field(default_factory=tuple)  #: Names of limits that are guessed.
 
     @property
     def reach(self) -> float:
-        """Length of the stretched arm [m]."""
+        """Length of the stretched arm with its tool [m]."""
         points = np.vstack([self.lines[:ARM, 3:], self.tool[0]])
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def arm(content: dict[str, Any], folder: Path) -> tuple[Arm, tuple[AxisLimits, ...]]:
-    """Read the machine file of an arm; the files that it names are in ``folder``."""
+    """Read the machine file of an arm; return arm and limits. Named files are in ``folder``."""
     text, robot = _robot(content, folder)
     elements = {joint.get('name', ''): joint for joint in robot.iter('joint')}
     parents = {_link(joint, 'child'): joint for joint in elements.values()}
@@ -150,7 +150,7 @@ def _direction(joint: ElementTree.Element) -> FloatArray:
 def _begins(
     content: dict[str, Any], letters: Sequence[str], limits: Sequence[AxisLimits]
 ) -> list[float]:
-    """Return the positions of further joints with which programs begin [m or rad]."""
+    """Return the positions of the further joints at the start of programs [m or rad]."""
     given, found = content.get('start') or {}, []
     demand(isinstance(given, dict), 'must hold positions, such as {U: 500.0, E1: 90.0}', 'start')
     require_known(given, letters, 'start')
@@ -169,7 +169,7 @@ def _tree(
     base: str,
     axes: dict[str, tuple[FloatArray, AxisLimits]],
 ) -> list[Joint]:
-    """Return the joints from the base on, parents first; those without an axis stay at zero."""
+    """Return all joints below ``base``, parents first. Joints without an axis stay at zero."""
     found, reached = list[Joint](), [base]
     numbers_ = {name: k for k, name in enumerate(axes)}
     for link in reached:
@@ -196,7 +196,7 @@ def _tree(
 
 
 def without_files(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the machine file of an arm, with the content of the files that it names."""
+    """Return the machine file of an arm, with the files that it names included in it."""
     found = {**content, 'urdf': _robot(content, folder)[0]}
     if isinstance(content.get('joint_limits'), str):
         found['joint_limits'] = read_yaml(folder / content['joint_limits'])['joint_limits']
@@ -204,7 +204,7 @@ def without_files(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _robot(content: dict[str, Any], folder: Path) -> tuple[str, ElementTree.Element]:
-    """Return the URDF that the machine file names or holds: its text, and its root element."""
+    """Return the text and the root element of the URDF that the machine file names or holds."""
     given = str(content['urdf'])
     try:
         text = given
@@ -221,7 +221,7 @@ def _robot(content: dict[str, Any], folder: Path) -> tuple[str, ElementTree.Elem
 
 @cache
 def _published(topic: str) -> str:
-    """Return the last text of a topic, received by another process: planning needs no ROS."""
+    """Return the last text of a topic. Another process receives it: planning needs no ROS."""
     command = [sys.executable, '-m', 'cnc_interp.client.robot_description', topic]
     heard = subprocess.run(command, capture_output=True, text=True, check=False)
     told = heard.stderr.strip().splitlines() or ['']
@@ -255,7 +255,7 @@ def _words(text: str, joint: str, count: int) -> FloatArray:
 def _chain(
     parents: dict[str, ElementTree.Element], base: str, link: str
 ) -> tuple[list[ElementTree.Element], list[ElementTree.Element]]:
-    """Return the joints on the way from a base to a link: those upward, then those downward."""
+    """Return the joints from ``base`` up the tree, and then those down to ``link``."""
     ways, tops = list[list[ElementTree.Element]](), list[str]()
     for at in (base, link):
         ways.append([])
@@ -284,7 +284,7 @@ def _origin(joint: ElementTree.Element) -> FloatArray:
 def _pose(
     content: dict[str, Any], key: str, link: str, parents: dict[str, ElementTree.Element]
 ) -> FloatArray:
-    """Return the pose of a frame in a link: numbers, or the name of a link fixed to it."""
+    """Return the pose (4, 4) of entry ``key`` in a link: given as numbers, or as a fixed link."""
     given: Any = content.get(key)
     if isinstance(given, str):
         found = np.eye(4)
@@ -304,7 +304,7 @@ def _pose(
 
 
 def _matrix(xyz: FloatArray, rpy: FloatArray) -> FloatArray:
-    """Return the pose of a frame as a matrix (4, 4): turned about fixed X, then Y, then Z."""
+    """Return a pose as a matrix (4, 4); ``rpy`` [rad]: rotation about fixed X, then Y, then Z."""
     found = np.eye(4)
     found[:3, :3], found[:3, 3] = rotation(*rpy), xyz
     return found
@@ -316,9 +316,9 @@ def _limits(
     names: dict[str, str],
     elements: dict[str, ElementTree.Element],
 ) -> tuple[tuple[AxisLimits, ...], tuple[str, ...]]:
-    """Return the limits of the joints: MoveIt's ``joint_limits``, else those of the URDF.
+    """Return the limits of the joints, and names of guessed ones; MoveIt precedes the URDF.
 
-    ``names``: names in the URDF, and those of the axes.
+    ``names``: name of a joint in the URDF -> name of the axis.
     """
     given, guess = content.get('joint_limits'), content.get('limits') == 'guess'
     demand(

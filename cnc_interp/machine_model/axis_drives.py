@@ -13,10 +13,10 @@ from cnc_interp.machine_model.machine_entries import (
     require_known,
 )
 
-#: Keys of a drive: inertia, largest torque, Coulomb and viscous friction, all in SI.
+#: Keys of a drive: inertia, largest force or torque, Coulomb and viscous friction, in SI units.
 LINEAR_KEYS = ('mass_kg', 'force_N', 'coulomb_N', 'viscous_N_s_per_m')
 ROTARY_KEYS = ('inertia_kg_m2', 'torque_Nm', 'coulomb_Nm', 'viscous_Nm_s_per_rad')
-PLAUSIBLE = (1e-6, 1e7)  #: Plausible inertias and torques.
+PLAUSIBLE = (1e-6, 1e7)  #: Plausible range of inertias, forces and torques [SI].
 
 
 def drive_loads(
@@ -53,17 +53,17 @@ def _friction(value: Any, key: str) -> float:
 
 @dataclass(frozen=True)
 class AxisDrive:
-    """The drive of one axis (``drives/drive_model.py``); the defaults are an ideal drive."""
+    """The drive of one axis (``drives/drive_model.py``); with the defaults it is ideal."""
 
     position_gain: float = 100.0  #: ``kv`` of the position loop [1/s].
-    feed_forward: float = 1.0  #: Share ``f`` of the setpoint's velocity that is fed forward [-].
+    feed_forward: float = 1.0  #: Share ``f`` of the setpoint velocity that is fed forward [-].
     time_constant: float = 2e-3  #: Lag ``tau`` of the velocity loop [s].
     delay: float = 0.0  #: Dead time of the setpoints [s].
     static: float = 0.0  #: Friction at rest; 0 if it equals the Coulomb friction [N or Nm].
-    #: Velocity at which the excess of ``static`` has fallen to 1/e [m/s or rad/s].
+    #: Velocity at which the excess of static over Coulomb friction is down to 1/e [m/s or rad/s].
     stribeck_velocity: float = 0.0
     backlash: float = 0.0  #: Play between motor and table [m or rad].
-    #: Flexible mode between motor and table; frequency 0 for none [Hz, -].
+    #: Frequency (0: no mode) and damping of a flexible mode between motor and table [Hz, -].
     mode_frequency: float = 0.0
     mode_damping: float = 0.0
     resolution: float = 0.0  #: Step of the measuring system at the table, 0 for none [m or rad].
@@ -74,15 +74,15 @@ class AxisDrive:
         return 1.0 / self.position_gain + self.time_constant + self.delay
 
 
-IDEAL = AxisDrive()  #: Drive of an axis without an entry.
+IDEAL = AxisDrive()  #: Drive of an axis without an entry in the file.
 
 
 class Entry(NamedTuple):
     field: str  #: Field of ``AxisDrive``.
-    #: Key for a linear and for a rotary axis; it ends with the unit.
+    #: Key in the file for a linear and for a rotary axis; both end with the unit.
     linear: str
     rotary: str
-    #: Size of the units in SI.
+    #: The units of the file, in SI.
     linear_unit: float
     rotary_unit: float
     #: Smallest and largest plausible value, in the unit of the file.
@@ -90,7 +90,7 @@ class Entry(NamedTuple):
     high: float
 
 
-#: Values of a drive in the order of the file; the first ``NEEDED`` are required.
+#: Entries of a drive, in the order of the file; the first ``NEEDED`` are required.
 ENTRIES = (
     Entry('position_gain', 'position_gain_per_s', 'position_gain_per_s', 1.0, 1.0, 1.0, 1e3),
     Entry('feed_forward', 'feed_forward', 'feed_forward', 1.0, 1.0, 0.0, 1.2),

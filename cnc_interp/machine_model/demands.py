@@ -1,4 +1,4 @@
-"""Check requirements of machine file entries, and collect all mistakes of a file."""
+"""Check entries of a machine file, and collect all mistakes of the file."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,13 +7,13 @@ from cnc_interp.core import MachineError
 
 
 def demand(holds: object, text: str, key: str = '') -> None:
-    """Raise MachineError about the entry ``key`` unless a condition holds."""
+    """Raise MachineError with ``text`` about entry ``key`` unless ``holds`` is true."""
     if not holds:
         raise MachineError(text, key)
 
 
 class Mistakes:
-    """Collects mistakes of independent entries; as a context it continues after a mistake."""
+    """Collects the MachineErrors of independent entries; as a context manager it catches them."""
 
     def __init__(self) -> None:
         self.found = list[MachineError]()
@@ -27,13 +27,13 @@ class Mistakes:
         return isinstance(problem, MachineError)
 
     def read(self, reader: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the result of a reader for an entry; None after a mistake."""
+        """Return ``reader(*arguments)``; after a MachineError, collect it and return None."""
         with self:
             return reader(*arguments)
         return None
 
     def report(self) -> None:
-        """Raise MachineError with a line for each mistake, if there are any."""
+        """If there are mistakes, raise one MachineError with a line for each."""
         if self.found:
             problem = MachineError('\n'.join(dict.fromkeys(map(str, self.found))))
             problem.key = self.found[0].key

@@ -1,18 +1,18 @@
 """The five-axis transformation in closed form: tool tip and tool axis in W <-> machine axes.
 
-With T the product of the rotary axes that carry the workpiece and H of those that carry the tool,
+T is the rotation of the axes that carry the workpiece, H that of the axes that carry the tool:
 
     o_W = T^-1 H e_z = Rot(u, a) Rot(w, b) e_z
     (x, y, z) = Table(p_W) + Head(rotary) - Head(0)
 
-with (x, y, z) the position of the tool in M: X Y Z plus the extra axes along their directions.
-The *outer* axis u turns about the pole and the *inner* axis w, next to the tool, tilts:
-table-table: u secondary, w primary, both negated; head-head: u primary, w secondary;
-one of each: u the table axis, negated, w the head axis.
+(x, y, z) is the position of the tool in M: X Y Z plus the extra axes along their directions.
+The *outer* axis u turns about the pole, and the *inner* axis w, next to the tool, tilts the tool.
+On table-table machines u is the secondary, w the primary axis, both with negated angles. On
+head-head machines u is the primary, w the secondary. Otherwise u is the table axis, negated.
 
-``o . u = c0 + R cos(b - b0)`` gives the tilt on two branches (sign of its sine); the outer angle
-follows from the projections on the plane normal to u. Near the pole o -> +-u the sine is taken
-from |o x u|, which keeps full relative accuracy.
+``o . u = c0 + R cos(b - b0)`` has two solutions b, one for each sign of sin(b - b0): the branches.
+The outer angle follows from the projections on the plane normal to u. Near the pole, o = +-u, the
+sine is computed from |o x u|, which keeps full relative accuracy.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from cnc_interp.machine_model.five_axis_kernels import (
 )
 from cnc_interp.machine_model.machine import Machine
 
-ON_POLE = 1e-9  #: A tool axis is on the pole if the sine of the angle between them is smaller [-].
+ON_POLE = 1e-9  #: Below this sine of the angle to the pole, the tool axis is on the pole [-].
 
 
 @dataclass(frozen=True)
 class FiveAxis:
-    """Machines with X Y Z, up to two rotary axes and extra axes; implements ``Transform``."""
+    """``Transform`` of a machine with X Y Z, up to two rotary axes, and extra axes."""
 
     machine: Machine  #: The machine.
-    #: (29 + 3 k,): Its geometry as one array; the last 3 k values are directions of k extra axes.
+    #: (29 + 3 k,): Geometry of the machine; the last 3 k values: directions of k extra axes.
     packed: FloatArray
 
     @staticmethod
@@ -89,9 +89,9 @@ class FiveAxis:
         return np.asarray(self.machine.rotary_direction[self.outer])
 
     def nearest_to_pole(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return the smallest angle to the pole, (n,) [rad], while the rotary axes run linearly.
+        """Return the smallest angle of tool axis and pole in n linear rotary motions, (n,) [rad].
 
-        ``o . u = c0 + R cos(b - b0)`` has its extremes at the ends or where b - b0 is a multiple
+        ``o . u = c0 + R cos(b - b0)`` is extreme at an end, or where b - b0 is a multiple
         of pi.
         """
         inner = 1 - self.outer
@@ -108,7 +108,7 @@ class FiveAxis:
         return np.asarray(np.arccos(np.clip(np.maximum(top, -bottom), -1.0, 1.0)))
 
     def levers(self, stands: FloatArray, rotary: FloatArray, height: float) -> FloatArray:
-        """Return how far a point on the tool axis moves in W per radian, (n, 2) [m]."""
+        """Return the travel of a tool axis point in W per rad of each rotary axis, (n, 2) [m]."""
         machine = self.machine
         u1, u2 = machine.rotary_direction
         first_on_head, second_on_head = machine.rotary_on_head
@@ -148,7 +148,7 @@ class FiveAxis:
         return forward(self.packed, q)
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return X Y Z (n, 3) [m] of tool tips at rotary positions [rad]; extra axes at 0."""
+        """Return X Y Z (n, 3) [m] of tool tips at rotary positions [rad], with extra axes at 0."""
         return np.array(
             [linear_position(self.packed, p, r[0], r[1]) for p, r in zip(tip, rotary, strict=True)]
         )
@@ -170,7 +170,7 @@ class FiveAxis:
         return float(np.linalg.norm(np.cross(axis, self.pole))) < ON_POLE
 
     def branch_at(self, rotary: FloatArray) -> float:
-        """Return the branch, +1 or -1, of rotary positions (2,) [rad]."""
+        """Return the branch, +1 or -1, on which rotary positions (2,) [rad] lie."""
         found = self.rotary_solutions(self.tool_axis(rotary[None])[0])
         gaps = [np.abs(np.sin(0.5 * (rotary - pair))).max() for pair in found]
         return 1.0 if not gaps or gaps[0] <= gaps[-1] else -1.0
@@ -178,10 +178,10 @@ class FiveAxis:
     def branches(
         self, axis: FloatArray, near: FloatArray, free: FloatArray | None = None
     ) -> list[FloatArray]:
-        """Return the rotary positions (2,) [rad] of a tool axis (3,), branch +1 first.
+        """Return the rotary positions (2,) [rad] on both branches for a tool axis (3,), +1 first.
 
-        Each has the whole turns nearest to ``near``. If the tool axis is on the pole, the outer
-        axis is undetermined and takes the value ``free``. Out of reach the list is empty.
+        Whole turns are added so that each is nearest to ``near``. With ``free``, the outer axis
+        has its value there, as on the pole. If the tool axis is out of reach, the list is empty.
         """
         found = self.rotary_solutions(axis)
         if free is not None:
@@ -190,7 +190,7 @@ class FiveAxis:
         return [pair + 2.0 * pi * np.round((near - pair) / (2.0 * pi)) for pair in found]
 
     def rotary_solutions(self, axis: FloatArray) -> list[FloatArray]:
-        """Return both branches (2,) in (-pi, pi] [rad] for a tool axis (3,); [] out of reach."""
+        """Return rotary positions (2,) of both branches in (-pi, pi] [rad]; [] if out of reach."""
         o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
         found = []
         for branch in (1.0, -1.0):

@@ -1,7 +1,8 @@
-"""Geometric errors of X Y Z: the section ``errors`` of a machine file, as splines.
+"""Geometric errors of X Y Z: splines through the tables of the section ``errors``.
 
-While an axis moves alone, its table says how the tool tip moves relative to the workpiece, actual
-minus commanded: three displacements along X Y Z, three rotations about them (ISO 230-1).
+The table of an axis has six errors of the tool relative to the workpiece while only this axis
+moves: three displacements along X Y Z, three rotations about X Y Z (ISO 230-1). Each error is the
+actual minus the commanded value.
 """
 
 from __future__ import annotations
@@ -20,53 +21,53 @@ from cnc_interp.machine_model import machine_entries as entries
 from cnc_interp.machine_model.demands import demand
 
 AXES = 'XYZ'
-PLACES = 'at_mm'  #: Key of the positions of a table.
-#: Squareness [urad] -> displacement that it changes per metre of an axis (row, axis, sign). The
-#: line of the second axis is turned about the axis of the first letter.
+PLACES = 'at_mm'  #: Key of the axis positions in a table.
+#: Squareness error [urad] -> the displacement that it adds: displacement, axis whose position
+#: multiplies it, and sign. B0Z turns the line of Z about Y.
 SQUARENESS = {'C0Y_urad': (0, 1, -1.0), 'B0Z_urad': (0, 2, 1.0), 'A0Z_urad': (1, 2, -1.0)}
-#: Larger errors [m, rad], and steeper ones [per m], suggest a wrong unit.
+#: Larger errors [m, rad], and larger slopes of errors [per m], suggest a wrong unit.
 LARGEST, STEEPEST = np.full(6, 2e-3), np.full(6, 5e-3)
-DEGREE = 5  #: Of the splines through the tables; their fourth derivatives are continuous.
-#: Share of the travel that may lie beyond either end of a table, and least number of nodes by
-#: which the table is continued there.
+DEGREE = 5  #: Degree of the splines; their fourth derivatives are continuous.
+#: Share of the travel that may lie beyond each end of a table, and least number of nodes that
+#: are added to the table there.
 UNCOVERED, FEWEST = 0.1, 3
 GOES_ON: Any = {'mode': 'reflect', 'reflect_type': 'odd'}
-FARTHEST = 20.0  #: Without a table of an axis, errors of squareness apply up to this position [m].
-MOST = 4096  #: Nodes of a table.
-UNEVEN = 4.0  #: With more uneven nodes, a spline would swing between them [-].
+FARTHEST = 20.0  #: If an axis has no table, squareness errors apply up to this position [m].
+MOST = 4096  #: Largest number of nodes of a table.
+UNEVEN = 4.0  #: Largest ratio of node distances: a spline through less even nodes oscillates [-].
 
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """The errors of one axis at n nodes, which begin and end beyond its travel."""
+    """The errors of one axis at n nodes. The nodes cover more than its travel."""
 
     at: FloatArray  #: (n,): Positions of the axis [m].
     values: FloatArray  #: (n, 6): Displacements along X Y Z [m], rotations about them [rad].
 
     @property
     def spline(self) -> Any:
-        """The B-spline through the nodes, with all six errors."""
+        """B-spline of all six errors through the nodes."""
         from scipy.interpolate import make_interp_spline  # loaded with errors only
 
         return make_interp_spline(self.at, self.values, DEGREE)
 
     @property
     def between(self) -> FloatArray:
-        """Places that are closer than the nodes, (8 n,) [m]."""
+        """Axis positions at closer distances than the nodes, (8 n,) [m]."""
         return np.linspace(self.at[0], self.at[-1], 8 * len(self.at))
 
 
 @dataclass(frozen=True)
 class GeometricErrors:
-    tables: tuple[ErrorTable, ErrorTable, ErrorTable]  #: Those of X, Y and Z.
-    chain: tuple[int, ...]  #: X Y Z by their numbers, in order from the workpiece to the tool.
-    #: (3, 3): Where the tip was while X, Y and Z were measured [m].
+    tables: tuple[ErrorTable, ErrorTable, ErrorTable]  #: Tables of X, Y and Z.
+    chain: tuple[int, ...]  #: Indices of X Y Z in the order from workpiece to tool.
+    #: (3, 3): Tip position at the measurement of X, of Y and of Z [m].
     measured_at: FloatArray
-    tool_length: float  #: Length from the tip of the machine file to the usual tip [m].
+    tool_length: float  #: Distance of the usual tip from the tip of the machine file [m].
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """(4,): Bounds of what all tables add to an axis, and of three derivatives [m, per m]."""
+        """(4,): Bounds of the total error of an axis, and of its three derivatives [m, per m]."""
         reach = np.linalg.norm([np.ptp(table.at) for table in self.tables])
         weight = np.repeat([1.0, reach], 3)
         sizes = [
@@ -77,7 +78,7 @@ class GeometricErrors:
 
 
 def columns_of(axis: str) -> dict[str, float]:
-    """Return the columns that a table of an axis may have, with their units in SI."""
+    """Return the columns that the table of an axis may have: name -> unit in SI."""
     return {f'E{way}{axis}_um': UM for way in AXES} | {
         f'E{turn}{axis}_urad': 1e-6 for turn in 'ABC'
     }
@@ -86,7 +87,7 @@ def columns_of(axis: str) -> dict[str, float]:
 def geometric_errors(
     content: dict[str, Any], travel: FloatArray, folder: Path
 ) -> GeometricErrors | None:
-    """Read the section ``errors``; ``travel`` (3, 2) of X Y Z [m]."""
+    """Read the section ``errors``; ``travel`` (3, 2): travel of X Y Z [m]."""
     known = (*AXES, 'squareness', 'chain', 'measured_at_mm', 'tool_length_mm')
     given = entries.section(content, 'errors', known)
     if not given:
@@ -118,7 +119,7 @@ def geometric_errors(
 def error_table(
     given: Any, axis: str, travel: FloatArray, slopes: FloatArray, folder: Path
 ) -> ErrorTable:
-    """Read the table of an axis; ``slopes`` (6,) are added to its errors [per m]."""
+    """Read the table of an axis; ``slopes`` (6,) [per m] times its position are added."""
     where, units = f'errors.{axis}', columns_of(axis)
     if given is None:
         travel = np.clip(travel, -FARTHEST, FARTHEST)
@@ -171,7 +172,7 @@ def error_table(
 
 
 def table_of(given: Any, axis: str, folder: Path) -> Any:
-    """Return the lists of a table whose entry may be the name of a CSV file."""
+    """Return the columns of a table; the entry holds them or names a CSV file."""
     if axis not in AXES or not isinstance(given, str):
         return given
     file, where = folder / given, f'errors.{axis}'

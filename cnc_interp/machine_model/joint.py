@@ -1,4 +1,4 @@
-"""A joint between two links of a machine, as in URDF."""
+"""A joint between two links of a machine, defined as in a URDF."""
 
 from dataclasses import dataclass
 
@@ -9,31 +9,31 @@ from cnc_interp.core import FloatArray
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 UP: Vector = (0.0, 0.0, 1.0)
-ARM = 6  #: Number of joints of an arm; further ones, a rail or a positioner, follow them in q.
-TOOL_TIP, WORKPIECE = 'tool_tip', 'workpiece'  #: Links of the tool tip, and of the programs' zero.
+ARM = 6  #: Number of joints of an arm. Joints of rail and positioner follow in q.
+TOOL_TIP, WORKPIECE = 'tool_tip', 'workpiece'  #: Links at the tool tip and at program zero.
 
 
 @dataclass(frozen=True)
 class Joint:
-    name: str  #: Name of the axis, or of the joint in the URDF of an arm.
+    name: str  #: Name of the axis; for an arm, name of the joint in its URDF.
     kind: str  #: ``prismatic``, ``revolute``, ``continuous`` or ``fixed``.
     parent: str
     child: str
-    origin: Vector  #: Origin of the child in the frame of the parent, with the axis at zero [m].
-    along: Vector = UP  #: Unit direction of the axis in the frame of the child [-].
+    origin: Vector  #: Origin of the child in the parent's frame, axis at zero [m].
+    along: Vector = UP  #: Unit direction of the axis in the child's frame [-].
     travel: tuple[float, float] = (0.0, 0.0)  #: Lowest and highest position [m or rad].
     max_velocity: float = 0.0  #: Velocity limit [m/s or rad/s].
-    axis: int = -1  #: Index of the axis; -1 if the connection is fixed.
-    rpy: Vector = ZERO  #: Turn of the child about fixed X, then Y, then Z, at zero [rad].
+    axis: int = -1  #: Index of the machine axis; -1 for a fixed joint.
+    rpy: Vector = ZERO  #: Rotation of the child about fixed X, then Y, then Z [rad].
 
     @property
     def turn(self) -> FloatArray:
-        """(3, 3): Rotation of the child in the frame of the parent, with the axis at zero."""
+        """(3, 3): Rotation of the child relative to the parent, with the axis at zero."""
         return rotation(*self.rpy)
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """Return the turn (3, 3) about fixed X, then Y, then Z [rad]."""
+    """Return the rotation matrix (3, 3) of a turn about fixed X, then Y, then Z [rad]."""
     (r, p, y), (s, c) = (roll, pitch, yaw), (np.sin, np.cos)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, c(r), -s(r)], [0.0, s(r), c(r)]])
     about_y = np.array([[c(p), 0.0, s(p)], [0.0, 1.0, 0.0], [-s(p), 0.0, c(p)]])
@@ -42,7 +42,7 @@ def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
 
 
 def angles(turn: FloatArray) -> Vector:
-    """Return roll, pitch and yaw [rad] of a turn (3, 3)."""
+    """Return roll, pitch and yaw [rad] of a rotation matrix (3, 3)."""
     level = np.hypot(turn[0, 0], turn[1, 0])
     pitch = float(np.arctan2(-turn[2, 0], level))
     if level < 1e-9:  # pitch of 90 deg: only the sum of roll and yaw counts

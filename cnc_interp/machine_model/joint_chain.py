@@ -1,8 +1,8 @@
-"""An arm as a chain of joints from the part to the tool; it implements ``Transform``.
+"""``Transform`` of an arm: a chain of joints from the part to the tool.
 
-A path determines five of six degrees of freedom. The sixth, the turn of the tool about its own
-axis, is the *spin*. The side of the tool is part X, carried along by the least turn from part Z to
-the tool axis, and then turned about the tool axis by the spin. See docs/how_it_works/arms.md.
+A path determines five of six degrees of freedom. The sixth is the *spin*, the rotation of the tool
+about its own axis. At spin 0, the side of the tool is part X after the smallest rotation that
+turns part Z into the tool axis. See docs/how_it_works/arms.md.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.machine import Machine, arm_of
 
-SEEDS = 128  #: Number of joint positions from which Newton's method searches all configurations.
-SAME = 1e-6  #: Solutions that differ by less are equal [rad].
-CLOSE = 1e-4  #: Accuracy with which the nearest singular pose is found [rad].
-SHARE = 0.35  #: Joints with at least this part of the largest rate turn against each other [-].
-#: Distances from a pose at which singular poses are searched [rad].
+SEEDS = 128  #: Number of start points from which Newton's method searches configurations.
+SAME = 1e-6  #: Solutions that differ by less than this are the same [rad].
+CLOSE = 1e-4  #: Accuracy of the nearest singular pose [rad].
+#: A joint takes part in the singular motion if its rate is this share of the largest one [-].
+SHARE = 0.35
+#: Joint distances from a pose at which singular poses are searched [rad].
 NEARBY = np.linspace(0.0, 30.0, 121) * DEG
 
 
 @dataclass(frozen=True)
 class JointChain:
     machine: Machine  #: The machine.
-    packed: FloatArray  #: (n + 2, 7): See ``chain_kernels.py``.
+    packed: FloatArray  #: (n + 2, 7): Geometry of the arm, see ``chain_kernels.py``.
 
     @staticmethod
     def of(machine: Machine) -> JointChain:
@@ -69,19 +70,19 @@ class JointChain:
         return float(np.arctan2(np.cross(x, side) @ axis, x @ side))
 
     def reached(self, tip: FloatArray, axis: FloatArray, stands: FloatArray) -> FloatArray:
-        """Return the joint positions (n,) for a pose of the tool, nearest to the present ones.
+        """Return the joint positions (n,) nearest to ``stands`` at which the tool has a pose.
 
-        The tool keeps its spin, and further joints stay. Raises BlockError if no configuration
-        reaches the pose.
+        The tool keeps its spin, and further joints do not move. Raises BlockError if no
+        configuration reaches the pose.
         """
         return self.standing(stands).start(tip, axis, 0)[0]
 
     def standing(self, q: FloatArray) -> JointChain:
-        """Return the chain that begins at the present joints (n,), and keeps their spin."""
+        """Return this chain with home at joint positions ``q`` (n,), and with their spin."""
         return self.spun(self.spin_at(q)).starting(q)
 
     def starting(self, home: FloatArray) -> JointChain:
-        """Return the chain that begins in the configuration nearest to ``home`` (n,) [rad]."""
+        """Return this chain with another home (n,) [rad]; paths begin nearest to it."""
         arm = replace(arm_of(self.machine), home=home)
         return replace(self, machine=replace(self.machine, arm=arm))
 
@@ -96,7 +97,7 @@ class JointChain:
         return np.asarray(kernel.rates(self.packed, home[:n], home[n:], *rows))
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return the X Y Z of programs, which are the tool tip in W."""
+        """Return X Y Z of programs; on an arm they are the tool tip in W."""
         return np.asarray(tip)
 
     def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
@@ -108,13 +109,13 @@ class JointChain:
     def seen(
         self, tip: FloatArray, axis: FloatArray, beside: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return poses (m, 3) relative to the arm, with further joints at (m, k)."""
+        """Return m tips and tool axes relative to the arm; ``beside`` (m, k): further joints."""
         return kernel.seen(self.packed, tip, axis, np.ascontiguousarray(beside), False)
 
     def followed(
         self, tip: FloatArray, axis: FloatArray, beside: FloatArray, start: FloatArray
     ) -> tuple[FloatArray, float]:
-        """Follow poses (m, 3), with further joints at (m, k), as ``chain_kernels.followed``."""
+        """Follow m poses with further joints ``beside`` (m, k); see ``chain_kernels.followed``."""
         seen = self.seen(tip, axis, beside)
         q, least = kernel.followed(self.packed, *seen, start[:ARM])
         return np.hstack([q, beside[: len(q)]]), least
@@ -122,10 +123,10 @@ class JointChain:
     def branches(
         self, tip: FloatArray, axis: FloatArray, beside: FloatArray | None = None
     ) -> FloatArray:
-        """Return the joints of each configuration that reaches a pose, the nearest to home first.
+        """Return the joints of all configurations that reach a pose, the nearest to home first.
 
-        Further joints are at ``beside`` (k,), or at home. Whole turns are those nearest to home
-        within the travel. Singular configurations are left out.
+        Further joints are at ``beside`` (k,), by default at home. Each joint has the whole turns
+        that bring it nearest to home within its travel. Singular configurations are left out.
         """
         home, n = arm_of(self.machine).home, ARM
         home, beside = home[:n], home[n:] if beside is None else beside
@@ -148,15 +149,15 @@ class JointChain:
 
     @property
     def least(self) -> float:
-        """Smallest measure of the distance from singular poses that a path may have [-]."""
+        """Smallest allowed measure of the distance of a path from singular poses [-]."""
         return float(np.sin(self.machine.singular_cone)) ** 2
 
     def sense(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> float:
-        """Return the sign of the determinant of the rates; a path led by a joint keeps it."""
+        """Return the sign of the determinant of ``pose_rates``; it is constant on a path."""
         return float(np.sign(np.linalg.det(self.pose_rates(q, leads))))
 
     def pose_rates(self, q: FloatArray, leads: int = kernel.NO_JOINT) -> FloatArray:
-        """Return the rates of the pose (6, n); the spin replaces a joint that leads."""
+        """Return the Jacobian (6, n) of the pose; the spin replaces joint ``leads``, if given."""
         tool, rates = kernel.posture(self.packed, q[:ARM])
         if leads != kernel.NO_JOINT:
             rates[:3, leads], rates[3:, leads] = 0.0, tool[2]
@@ -165,7 +166,7 @@ class JointChain:
     def start(
         self, tip: FloatArray, axis: FloatArray, line: int, beside: FloatArray | None = None
     ) -> tuple[FloatArray, float]:
-        """Return joints (n,) of a start pose and the sign that ``sense`` has there.
+        """Return the joints (n,) [m, rad] at a start pose, and ``sense`` there.
 
         ``beside``: as in ``branches``.
         """
@@ -180,7 +181,7 @@ class JointChain:
         return found[0], self.sense(found[0])
 
     def refusal(self, q: FloatArray, line: int, singular: bool) -> BlockError:
-        """Return the error for a pose out of reach, or singular near q; it names the joints."""
+        """Return the error at a pose: out of reach, or a singular pose near ``q``."""
         if not singular:
             return BlockError(
                 f'beyond the reach of {self.machine.name} at spin {self.spin / DEG:g} deg; move '

@@ -1,8 +1,8 @@
 """Links of a machine and the joints between them: one tree from ``base_link``.
 
-Two branches leave the machine frame M: X, Y, Z and the axes that carry the tool, down to
-``tool_tip``; the axes that carry the workpiece, down to ``workpiece``, the frame of programs.
-Joints have the names of the axes. With all axes at zero, all frames are parallel to M.
+Two branches start at the machine frame M. One has X, Y, Z and the axes that carry the tool, and
+ends at ``tool_tip``. The other has the axes that carry the workpiece, and ends at ``workpiece``,
+the frame of programs. Joints have the names of the axes. At zero all frames are parallel to M.
 
 An arm has the links and joints of its URDF, beginning at the base. A fixed joint leads from the
 flange to ``tool_tip``, whose Z is the tool axis, and another one from the base to ``workpiece``.
@@ -14,12 +14,12 @@ from cnc_interp.machine_model.joint import TOOL_TIP, WORKPIECE, ZERO, Joint, Vec
 from cnc_interp.machine_model.machine import Machine
 
 BASE = 'base_link'
-#: Travel written for a linear axis without limits, because URDF requires numbers [m].
+#: Travel in the URDF of a linear axis without travel limits; URDF requires numbers [m].
 UNLIMITED = 10.0
 
 
 def joints_of(machine: Machine) -> tuple[Joint, ...]:
-    """Return the joints of a machine, parents before children; the first parent is the base."""
+    """Return all joints of a machine, parents before children, beginning at the base."""
     if machine.arm is not None:
         return machine.arm.tree
     joints: list[Joint] = []

@@ -30,17 +30,17 @@ from cnc_interp.machine_model.joint import ARM
 from cnc_interp.machine_model.machine_entries import Macro, control, homing, macros, standstill
 from cnc_interp.machine_model.signals import Signals, signals
 
-#: Likely largest velocities of linear and of rotary axes [mm/min, deg/min], and likely times to
-#: the largest velocity and acceleration [s].
+#: Likely range of the largest velocity of linear and of rotary axes [mm/min, deg/min]; likely
+#: range of the times to the largest velocity and to the largest acceleration [s].
 LIKELY = {True: (200.0, 240e3), False: (100.0, 1e6)}
 QUICKEST, LONGEST = 1e-4, 20.0
-USUAL_SIZE = 1.0  #: Size of the machines for which lengths are chosen [m].
+USUAL_SIZE = 1.0  #: Size of a machine for which the default lengths are chosen [m].
 LOCKED = 1e-6  #: Travel of a locked axis [rad].
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axis(AxisLimits):
-    name: str  #: Its letter.
+    name: str  #: Letter or name of the axis.
     linear: bool  #: True for a linear axis, False for a rotary one.
 
     @property
@@ -64,12 +64,12 @@ class Axis(AxisLimits):
         return MM if self.linear else DEG
 
     def position_text(self, position: float) -> str:
-        """Return a position [m or rad] as text for a display, in mm or deg without the unit."""
+        """Return a position [m or rad] as a text in mm or deg, without the unit."""
         return f'{position / MM:z.3f}' if self.linear else f'{position / DEG:z.4f}'
 
 
 def place_text(axes: Sequence[Axis], position: Iterable[float]) -> str:
-    """Return the positions of all axes [m or rad] as text with names and units."""
+    """Return the positions of all axes [m or rad] as one text, with names and units."""
     return '  '.join(
         f'{axis.name} {axis.position_text(q)} {axis.shown_unit}'
         for axis, q in zip(axes, position, strict=True)
@@ -85,13 +85,13 @@ class Machine:
     """A machine tool: linear axes X Y Z, then the rotary axes, primary first, then extra axes.
 
     An extra axis is a linear axis U, V or W that carries the tool besides X Y Z, such as the quill
-    W of a boring mill along Z: the tool is at X Y Z plus the sum of ``w_k d_k``, with w_k its
-    position and d_k its direction. Rail U and positioner E1 of an arm are extra axes, too; the six
-    joints follow from the pose of the tool.
+    W of a boring mill along Z. The tool is at X Y Z plus the sum of w_k d_k: w_k is the position
+    of an extra axis, d_k its direction. The rail U and the positioner E1 of an arm are extra axes,
+    too; the six joints of the arm follow from the pose of the tool.
 
     The tool axis at rest is machine +Z. A rotary axis carries either the workpiece (``table``) or
-    the tool (``head``); the primary carries the secondary. With R_i the rotation of axis i about
-    its direction, on a table-table machine
+    the tool (``head``); the primary carries the secondary. R_i is the rotation of axis i about its
+    direction. On a table-table machine
 
         p_M = R_1 (R_2 (p_W + workpiece_offset) + secondary_offset) + primary_offset
         R_1 R_2 o_W = +Z
@@ -100,37 +100,37 @@ class Machine:
     """
 
     name: str  #: Name of the machine.
-    #: ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes; extra axes follow.
+    #: X Y Z, the rotary axes if any, then extra axes: ('X', 'Y', 'Z', 'A', 'C', 'W').
     axis_names: tuple[str, ...]
     limits: Limits  #: Limits of the axes.
     rotary_direction: FloatArray  #: (2, 3): Directions of primary and secondary axis in M [-].
     #: Whether each rotary axis carries the tool (True) or the workpiece (False).
     rotary_on_head: tuple[bool, bool]
-    offsets: FloatArray  #: (3, 3): Workpiece, secondary and primary offset [m].
-    tool_offset: FloatArray  #: (2, 3): On heads: tip to secondary, then to primary pivot [m].
-    singular_cone: float  #: Smallest allowed angle between a turning tool axis and the pole [rad].
+    offsets: FloatArray  #: (3, 3): Offsets of workpiece, secondary and primary axis [m].
+    tool_offset: FloatArray  #: (2, 3): Heads: from tip to secondary, then to primary pivot [m].
+    singular_cone: float  #: Least angle of a turning tool axis to the pole [rad].
     #: (k, 3): Unit vectors in M along which the extra axes move the tool [-]; 0 for an arm.
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    #: Drives of the axes that are not ideal, by axis name.
+    #: Index of an axis -> its drive, if it is not ideal.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
-    #: Largest following error of axes with their own limit [m or rad].
+    #: Index of an axis -> its own limit of the following error [m or rad].
     following_errors: dict[int, float] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
     homing: entries.ReferenceSwitches = field(default_factory=entries.ReferenceSwitches)
-    #: Pace of its control on short blocks, if slower than the axes allow.
+    #: Speed of the control on short blocks, if it is slower than the axes.
     pace: entries.BlockPace | None = None
-    #: Times at which the path rests for tool changes and the spindle.
+    #: Times at rest for tool changes and for the spindle.
     standstill: entries.Standstill = field(default_factory=entries.Standstill)
-    #: Choices of the program reader for its control, by name.
+    #: Options of the program reader for the control of this machine, by name.
     control: dict[str, Any] = field(default_factory=dict)
-    macros: tuple[Macro, ...] = ()  #: Lines of G-code for keys of the page.
-    tool_change_macro: str = ''  #: Text of the subprogram that M6 calls; empty if there is none.
+    macros: tuple[Macro, ...] = ()  #: Lines of G-code, each with a key on the page.
+    tool_change_macro: str = ''  #: Subprogram that M6 calls; empty if there is none.
     #: Its outputs and inputs, and the functions of a program that switch them.
     signals: Signals = field(default_factory=Signals)
-    #: Errors of X Y Z, which the commanded axes compensate.
+    #: Geometric errors of X Y Z, which are compensated in the commanded axes.
     errors: GeometricErrors | None = None
     arm: Arm | None = None  #: Its joints, if it is an arm; an arm has no linear axes.
-    #: File from which it was read; empty for bundled machines, which are found by name.
+    #: File from which it was read; empty for a bundled machine.
     file: str = ''
 
     @cached_property
@@ -145,7 +145,7 @@ class Machine:
 
     @property
     def max_velocity(self) -> FloatArray:
-        """(n_axes,): Velocity limits, the largest of all positions; see ``limits``."""
+        """(n_axes,): Velocity limit of each axis where it is largest; see ``limits``."""
         return self.limits.max_velocity
 
     @property
@@ -161,7 +161,7 @@ class Machine:
         return self.limits.travel
 
     def having(self, **columns: Sequence[Any] | FloatArray | Mapping[int, Any]) -> Machine:
-        """Return the machine with other limits, see ``Limits.having``."""
+        """Return this machine with other limits, see ``Limits.having``."""
         return replace(self, limits=self.limits.having(**columns))
 
     @cached_property
@@ -170,7 +170,7 @@ class Machine:
         return tuple(Axis(**vars(of), name=name, linear=linear) for name, linear, of in columns)
 
     def doubts(self) -> Iterator[str]:
-        """Return warnings of limits that are guessed or likely in a wrong unit, one per axis."""
+        """Yield warnings about guessed limits, and about axes whose units may be wrong."""
         if self.guessed:
             yield self.guessed
         for axis in self.axes:
@@ -191,7 +191,7 @@ class Machine:
 
     @property
     def guessed(self) -> str:
-        """Return one sentence that names the guessed limits; empty if all are known."""
+        """Text that names the guessed limits; '' if all limits are known."""
         guessed = () if self.arm is None else self.arm.guessed
         return f'limits of {self.name} are guessed: {", ".join(guessed)}' if guessed else ''
 
@@ -207,12 +207,12 @@ class Machine:
 
     @property
     def scale(self) -> float:
-        """Size of an arm over that of machines for which defaults were chosen, at least 1 [-]."""
+        """Reach of an arm over the usual size, at least 1; 1 for other machines [-]."""
         return 1.0 if self.arm is None else max(1.0, self.arm.reach / USUAL_SIZE)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the axes in URDF and joint states; for an arm, the names in its own URDF."""
+        """Names of the axes in URDF and joint states; an arm has the names of its own URDF."""
         return self.axis_names if self.arm is None else self.arm.joints
 
     @property
@@ -227,17 +227,17 @@ class Machine:
 
     @property
     def program_names(self) -> tuple[str, ...]:
-        """Letters of the program coordinates that have their own zero."""
+        """Letters of the program coordinates with a zero of their own."""
         return ('X', 'Y', 'Z', *self.rotary_names)
 
     @property
     def has_rotary(self) -> bool:
-        """Return whether programs may name its rotary axes; an arm has joints instead."""
+        """Whether the machine has rotary axes that programs can name; an arm has none."""
         return self.arm is None and not self.is_linear.all()
 
     @staticmethod
     def load(path_or_name: str | Path) -> Machine:
-        """Read a machine by file or bundled name; MachineError has a line for each mistake."""
+        """Read a machine file, or a bundled machine. MachineError has a line for each mistake."""
         path = find_machine_file(path_or_name)
         try:
             content = read_yaml(path)
@@ -287,7 +287,7 @@ def find_machine_file(path_or_name: str | Path) -> Path:
 
 
 def from_mapping(content: dict[str, Any], folder: Path = Path()) -> Machine:
-    """Read the content of a machine file; files that it names are in ``folder``."""
+    """Read a machine from the content of its file; named files are in ``folder``."""
     if 'urdf' in content:
         return _arm(content, folder)
     rotary = content.get('rotary') or {}
@@ -398,20 +398,20 @@ def _write(content: dict[str, Any], file: Path) -> None:
     write_whole(file, yaml.safe_dump(content, sort_keys=False))
 
 
-DIGITS = 9  #: Digits after the point of the new offset [mm].
+DIGITS = 9  #: Decimals of offsets that are written to a file [mm].
 
 
 def placed_machine(
     name: str, shift: tuple[float, float, float], turn: float, file: Path
 ) -> Machine:
-    """Write the file of a machine whose workpiece is shifted, and turned about its zero; read it.
+    """Write and read a copy of a machine file; its workpiece is shifted, and turned about its zero.
 
-    With the C axis next to the workpiece, a turn of the workpiece by an angle w needs no other
-    program:
+    If the C axis carries the workpiece, the same program runs on a workpiece that is turned by an
+    angle w:
 
         R_C(C) (R_z(w) p + m) = R_C(C + w) (p + R_z(-w) m)
 
-    So C counts from the turned workpiece, and only the offset m changes. ``shift`` [mm],
+    C then counts from the turned workpiece, and only the offset m changes. ``shift`` [mm],
     ``turn`` [deg]. Raises MachineError if no table of the machine turns about Z.
     """
     machine = Machine.load(name)
@@ -437,7 +437,7 @@ def placed_machine(
 
 
 def content_of(name: str | Path) -> dict[str, Any]:
-    """Return the content of a machine file, with the files that it names inside it."""
+    """Return the content of a machine file, with the files that it names included."""
     file = find_machine_file(name)
     content: dict[str, Any] = deepcopy(read_yaml(file))
     if 'urdf' in content:
@@ -450,7 +450,7 @@ def content_of(name: str | Path) -> dict[str, Any]:
 
 
 def whole_text(name: str) -> str:
-    """Return the text of a machine file, with the content of the files that it names."""
+    """Return the text of a machine file, with the files that it names included."""
     found = find_machine_file(name)
     if not {'urdf', 'errors', entries.TOOL_CHANGE} & set(read_yaml(found)):
         return found.read_text(encoding='utf-8')
@@ -458,7 +458,7 @@ def whole_text(name: str) -> str:
 
 
 def without_topic(name: str, file: Path) -> str:
-    """Return a machine; if its URDF is on a topic, a copy of its file with the URDF inside."""
+    """Return ``name``; if its URDF is on a topic, write ``file`` with the URDF and return it."""
     Machine.load(name)  # rejects other files
     if str(read_yaml(find_machine_file(name)).get('urdf')).startswith(TOPIC):
         _write(content_of(name), file)
@@ -467,7 +467,7 @@ def without_topic(name: str, file: Path) -> str:
 
 
 def with_guessed_limits(name: str, file: Path) -> Machine:
-    """Write the file of an arm with guesses for its missing limits, and read it."""
+    """Write a copy of an arm's file in which missing limits are guessed, and read it."""
     found = find_machine_file(name)
     content = read_yaml(found)
     demand(
@@ -479,7 +479,7 @@ def with_guessed_limits(name: str, file: Path) -> Machine:
 
 
 def with_geometry(name: str, file: Path, geometry: Machine) -> None:
-    """Write the file of a machine with the offsets of its rotary axes and heads from another."""
+    """Write a copy of a machine file, with rotary axis and head offsets of ``geometry``."""
     content = content_of(name)
     offsets = np.concatenate([geometry.offsets, geometry.tool_offset])
     for key, offset in zip(entries.GEOMETRY, offsets, strict=True):

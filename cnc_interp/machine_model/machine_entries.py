@@ -1,4 +1,4 @@
-"""Entries of a machine file, checked and turned into SI units."""
+"""Check the entries of a machine file and convert them to SI units."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -29,7 +29,7 @@ GEOMETRY = (
     'tip_to_secondary_pivot_mm',
     'secondary_to_primary_pivot_mm',
 )
-#: Every value of a linear axis, and of a rotary one: key in the file -> its unit in SI.
+#: Values of a linear and of a rotary axis: key in the file -> unit of the file, in SI.
 LINEAR_KEYS = {
     'velocity_m_per_min': M_PER_MIN,
     'acceleration_m_per_s2': 1.0,
@@ -42,13 +42,13 @@ ROTARY_KEYS = {
     'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
 }
-#: Choices of the reader that a machine file may make.
+#: Options of the program reader that a machine file may set.
 CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
-#: Pace of a control on short blocks: plausible range of each value.
+#: Keys that describe the speed of a control on short blocks -> plausible range.
 PACE = {'velocity_jump_mm_per_s': (1e-3, 1e4), 'block_time_ms': (1e-3, 1e3)}
 STOPS = 'stops_at_rapids'
 SCATTER = 'scatter_percent'
-#: Times at which the path rests [s], and the speed at which spindle times were measured.
+#: Keys of times at rest, and of the speed at which spindle times were measured.
 CHANGE, START, STOP, REVERSAL, SPEED = STANDSTILL = (
     'tool_change_s',
     'spindle_start_s',
@@ -57,12 +57,12 @@ CHANGE, START, STOP, REVERSAL, SPEED = STANDSTILL = (
     'spindle_speed_rev_per_min',
 )
 USUAL_REVERSAL = 0.2  #: Default reversal time of a tapping spindle [s].
-EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
-POSITIONERS = ('E1', 'E2', 'E3')  #: Names of turning extra axes, which only an arm has.
-LOCKED_LIMITS = AxisLimits(1.0, 1.0, 1.0, (-1e-9, 1e-9))  #: No motion reaches them [rad, s].
-SAME_PLACE = 1e-9  #: Tolerance with which a table of limits must cover the travel [m, rad].
-#: Plausible size of velocity, acceleration and jerk limits in SI, of linear and of rotary axes.
-#: Beyond them a unit is wrong: 60 mm/min to 600 m/min, 0.1 to 9549 rev/min.
+EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters of linear extra axes.
+POSITIONERS = ('E1', 'E2', 'E3')  #: Names of rotary extra axes of arms.
+LOCKED_LIMITS = AxisLimits(1.0, 1.0, 1.0, (-1e-9, 1e-9))  #: Limits of a locked axis [rad, s].
+SAME_PLACE = 1e-9  #: Tolerance at the ends of travel for a table of limits [m, rad].
+#: Plausible ranges of velocity, acceleration and jerk limits of linear and of rotary axes, in SI.
+#: Outside, a unit is wrong. Velocities: 60 mm/min to 600 m/min, 0.1 to 9549 rev/min.
 PLAUSIBLE = {
     True: ((1e-3, 10.0), (0.01, 1e3), (0.05, 1e6)),
     False: ((0.01, 1e3), (0.05, 1e4), (0.3, 1e7)),
@@ -70,7 +70,7 @@ PLAUSIBLE = {
 
 
 def section(content: dict[str, Any], name: str, known: Collection[str]) -> dict[str, Any]:
-    """Return a section of the file, or an empty one; reject unknown entries in it."""
+    """Return a section of the file; {} if it is missing. Raise MachineError at unknown entries."""
     given = content.get(name) or {}
     demand(isinstance(given, dict), f'may hold {", ".join(known)}', name)
     require_known(given, known, name)
@@ -91,11 +91,11 @@ def control(content: dict[str, Any]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class BlockPace:
-    jump: float  #: Largest change of velocity at a vertex [m/s].
-    block_time: float  #: Least time of a block [s].
-    jerk: float  #: Jerk between two vertices [m/s3].
-    stops_at_rapids: bool = False  #: Whether the tool rests where a rapid begins or ends.
-    scatter: float = 0.0  #: 95 % of recorded times are within this share of the plan; 0: unknown.
+    jump: float  #: Largest velocity step at a vertex [m/s].
+    block_time: float  #: Shortest time for a block [s].
+    jerk: float  #: Jerk limit between two vertices [m/s3].
+    stops_at_rapids: bool = False  #: Whether the tool stops before and after a rapid.
+    scatter: float = 0.0  #: Relative error that 95 % of planned times keep; 0: unknown.
 
 
 def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
@@ -118,14 +118,14 @@ def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
 
 @dataclass(frozen=True)
 class Standstill:
-    """Times at which the path rests; a spindle gains its energy at constant power."""
+    """Times at rest. A spindle is assumed to accelerate at constant power."""
 
-    tool_change: float = 0.0  #: [s]
-    #: Time to start and to stop the spindle, per change of its squared speed [s/(rev/min)2].
+    tool_change: float = 0.0  #: Time of a tool change [s].
+    #: Time to start and to stop the spindle, over the squared speed [s/(rev/min)2].
     start: float = 0.0
     stop: float = 0.0
     reversal: float = 0.0  #: Reversal time of a tapping spindle [s].
-    #: Speed at which start and stop were measured [rev/min]; 0 if not measured.
+    #: Speed at which start and stop times were measured [rev/min]; 0: not measured.
     speed: float = 0.0
 
 
@@ -149,19 +149,19 @@ def standstill(content: dict[str, Any]) -> Standstill:
 
 @dataclass(frozen=True)
 class Macro:
-    name: str  #: Label of its key.
+    name: str  #: Label of its key on the page.
     lines: tuple[str, ...]  #: Lines of G-code, executed one after the other.
 
     @property
     def moves(self) -> bool:
-        """Whether any line of the macro may move an axis; spindle, outputs and dwells do not."""
+        """Whether any line of the macro may move an axis."""
         return not all(_STILL.fullmatch(line.upper()) for line in self.lines)
 
 
-#: Lines that move nothing: M codes except M6 and calls, S and T, and dwells.
+#: Lines without motion: S, T, dwells, and M codes except M6 and calls.
 _STILL = re.compile(r'(?:\s*(?:M(?!0*6\b|98\b|198\b)\d+|[ST]\d+(?:\.\d+)?|G0?4\s*[PX][\d.]+))+\s*')
 MOST_MACROS, LONGEST_MACRO = 24, 40
-TOOL_CHANGE = 'tool_change_macro'  #: Key of the subprogram that M6 calls.
+TOOL_CHANGE = 'tool_change_macro'  #: Key of the entry for the subprogram of M6.
 
 
 def macros(content: dict[str, Any]) -> tuple[Macro, ...]:
@@ -190,7 +190,7 @@ def macros(content: dict[str, Any]) -> tuple[Macro, ...]:
 
 
 def tool_change_macro(content: dict[str, Any], folder: Path) -> str:
-    """Return the text of the subprogram that M6 calls: it is named or given; '' without one."""
+    """Return the subprogram that M6 calls. The entry holds it or names a file; '' if missing."""
     given = content.get(TOOL_CHANGE, '')
     demand(isinstance(given, str), 'must be the name of a subprogram, or its lines', TOOL_CHANGE)
     if not given or '\n' in given:
@@ -241,7 +241,7 @@ def linear_geometry(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def needed_offsets(on_head: Collection[bool], locked: bool) -> list[str]:
-    """Return the keys under ``rotary`` that a layout needs."""
+    """Return the keys under ``rotary`` that the layout of the rotary axes requires."""
     table = [] if all(on_head) else [k for k in GEOMETRY[:3] if k != GEOMETRY[1] or not locked]
     return table + list(GEOMETRY[3:] if any(on_head) and not locked else ())
 
@@ -293,15 +293,15 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ReferenceSwitches:
-    #: Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
-    #: nearer end of the travel.
+    #: Axis -> position of its switch [m, rad]. The switch is pressed from there to the nearer end
+    #: of the travel.
     switches: Mapping[str, float] = field(default_factory=dict)
-    #: Position of the index pulse that follows the release of the switch [m, rad].
+    #: Axis -> position of the index pulse after the release of its switch [m, rad].
     index: Mapping[str, float] = field(default_factory=dict)
-    #: Axes of gantries: two motors, each with a switch of its own.
+    #: Gantry axes; each has two motors with a switch for each motor.
     squared: tuple[str, ...] = ()
-    groups: tuple[tuple[str, ...], ...] = ()  #: Axes that home together, group after group.
-    required: bool = False  #: Whether programs may start only after all these axes are homed.
+    groups: tuple[tuple[str, ...], ...] = ()  #: Axes that home together, in order.
+    required: bool = False  #: Whether programs require that all these axes are homed.
 
 
 def homing(
@@ -479,7 +479,7 @@ def numbers(value: Any, count: int, key: str) -> list[float]:
 
 
 def vector(rotary: dict[str, Any], key: str, optional: bool) -> FloatArray:
-    """Read an offset in mm; zero if it is optional and missing."""
+    """Return an offset [m] from its entry in mm; 0 if it is optional and missing."""
     if key not in rotary:
         demand(optional, 'missing; three numbers in mm', f'rotary.{key}')
         return np.zeros(3)

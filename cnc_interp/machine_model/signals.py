@@ -1,7 +1,7 @@
-"""Outputs and inputs of a machine: functions of programs, outputs of stops, and interlocks.
+"""Outputs and inputs of a machine: program functions, switching off at stops, and interlocks.
 
-A machine with an output ``SPEED`` also has ``STATES``. Words set these states like outputs, but
-they are not sent to drives: the cycle (``machine/spindle.py``) and the feed planner read them.
+A machine with an output ``SPEED`` also has ``STATES``. Program words set states like outputs. The
+cycle (``machine/spindle.py``) and the feed planner use them; the drives do not receive them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,10 +15,10 @@ from cnc_interp.core import MINUTE, MM, MachineError
 from cnc_interp.core.small_files import UnreadableError, config_directory, is_number, read_yaml
 from cnc_interp.machine_model.demands import demand
 
-#: Letters of a program whose value a function may take: speed, tool, and words of its own block.
+#: Program letters whose value an output may get: speed S, tool T, and words of the same block.
 LETTERS = ('S', 'T', 'P', 'Q', 'R')
 #: Events that switch outputs off: emergency stop, fault, operator's reset, missing setpoints, and
-#: the end of the machine node, at which HAL acts alone.
+#: the end of the machine node. After that end, HAL switches them off.
 EMERGENCY, FAULT, RESET, LOST_PLANNER, LOST_MACHINE = STOPS = (
     'emergency_stop',
     'fault',
@@ -26,24 +26,24 @@ EMERGENCY, FAULT, RESET, LOST_PLANNER, LOST_MACHINE = STOPS = (
     'lost_planner',
     'lost_machine',
 )
-ALWAYS, NEVER = 'always', 'never'  #: Words that may replace a list of ``STOPS``.
-OPERATOR = 'operator'  #: Replaces an awaited input: the operator's cycle start.
+ALWAYS, NEVER = 'always', 'never'  #: Entries that stand for all ``STOPS``, or none.
+OPERATOR = 'operator'  #: Entry that waits for the operator's cycle start instead of an input.
 AFTER = ('M2', 'M5', 'M9', 'M30')  #: Words that act after the motion of their block.
-#: Functions before a line that ends when the probe comes on (G38.2, G38.3) or goes off (G38.4,
-#: G38.5).
+#: Functions before a probing line: G38.2 and G38.3 end when the probe comes on, G38.4 and G38.5
+#: when it goes off.
 TOWARD, AWAY = 'G38.2', 'G38.4'
-#: Input of the probe, and the output that is 1 or 2 while the machine waits for it to come on or
-#: go off. The machine resets this output itself.
+#: Input of the probe; and an output: 1 while the machine waits for the probe to come on, 2 while
+#: it waits for the probe to go off. The machine resets this output itself.
 PROBE, ARMED = 'probe', 'probe_armed'
-SINCE = 'probe_since'  #: Input: the time from the last contact to the end of its period [s].
-#: Words that stop, call or return; they cannot be functions.
+SINCE = 'probe_since'  #: Input: time from the last contact to the end of that period [s].
+#: Program words that stop, call or return; they cannot be functions.
 NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
-HOME = 'home_'  #: Inputs of reference switches, as home_x.
-#: Values of ``Step.wait`` without an input; ``TIMED``: the value of the step is the rest [s].
+HOME = 'home_'  #: Prefix of inputs of reference switches, as home_x.
+#: Values of ``Step.wait`` without an input. ``TIMED``: rest for the value of the step [s].
 NO_WAIT, ASK, TIMED = 0, -(1 << 30), -(1 << 29)
-BY_SPEED = 'mm_per_min', 'share'  #: Speeds of the tip, and shares of an output that follows it.
-DWELL = 'dwell'  #: Value of G4 [s].
-#: Words of LinuxCNC for numbered outputs: the equivalent word, and its letter.
+BY_SPEED = 'mm_per_min', 'share'  #: Keys of the table of an output that follows the tip.
+DWELL = 'dwell'  #: State: duration of a dwell, G4 [s].
+#: LinuxCNC word for a numbered output -> equivalent word, and letter of the output number.
 NUMBERED: Mapping[str, tuple[str, str]] = {
     'M62': ('M64', 'P'),
     'M63': ('M65', 'P'),
@@ -52,24 +52,24 @@ NUMBERED: Mapping[str, tuple[str, str]] = {
     'M67': ('M68', 'E'),
     'M68': ('M68', 'E'),
 }
-INPUT_WAIT = 'input_wait'  #: State: time that M66 waits before it asks the operator [s].
-TOOL = 'tool'  #: State: tool that the operator puts in, if no function changes tools.
-MOST_TOOL = 1e6  #: Largest number of a tool that a program may name.
-#: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, which increases with ``FORWARD``].
+INPUT_WAIT = 'input_wait'  #: State: time after which M66 asks the operator [s].
+TOOL = 'tool'  #: State: tool that the operator must put in, if no function changes tools.
+MOST_TOOL = 1e6  #: Largest tool number in a program.
+#: Spindle outputs [rev/min, 0 or 1], and inputs. ``ANGLE`` [rev] increases with ``FORWARD``.
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
 TURNING = 'spindle_turning'  #: Condition: the spindle turns, according to its encoder.
-#: Inputs of a handwheel: its counts, the travel per count, and whether it moves an axis.
+#: Inputs of a handwheel: counts, travel per count, and prefix of the inputs that select axes.
 COUNTS, STEP, WHEEL = 'handwheel', 'handwheel_step', 'handwheel_'
 #: Numeric inputs, with their units.
 NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's', COUNTS: '', STEP: ''}
-POWER_FAILS = 'power_fails'  #: Input: the mains have failed, and the supply lasts for a stop.
-FIXED = 'fixed'  #: Value of M50 and M51: 1 for P0.
+POWER_FAILS = 'power_fails'  #: Input: on a mains failure, while power remains for a stop.
+FIXED = 'fixed'  #: Value supplied for M50 and M51: 1 with P0, else 0.
 PER_TURN, FEED_FIXED, SPINDLE_FIXED = 'feed_per_turn', 'feed_fixed', 'spindle_fixed'
 SURFACE = ('surface_zero', 'surface_limit', 'surface_speed')
 THREAD = ('thread_x', 'thread_y', 'thread_z', 'thread_turns')
-#: States, with units: G95; disabled overrides (M49); G96 with X of the centre, D and S; a line in
-#: step with the spindle, with the travel of each axis per turn, and turns (< 0: there and back).
+#: State -> unit. Feed per turn (G95); disabled overrides (M49); G96: X of the centre, D and S; a
+#: line in step with the spindle: travel of each axis per turn, and turns (< 0: there and back).
 STATES: Mapping[str, str] = {
     **dict.fromkeys((PER_TURN, FEED_FIXED, SPINDLE_FIXED), ''),
     **dict(zip(SURFACE, ('mm', 'rev/min', 'm/min'), strict=True)),
@@ -77,7 +77,7 @@ STATES: Mapping[str, str] = {
     THREAD[3]: '',
     DWELL: 's',
 }
-#: Words that set states; a name means a value supplied by the reader.
+#: Word -> states that it sets; the program reader supplies a value that is given as a name.
 OF_STATES: Mapping[str, Mapping[str, float | str]] = {
     'G94': {PER_TURN: 0.0},
     'G95': {PER_TURN: 1.0},
@@ -88,9 +88,9 @@ OF_STATES: Mapping[str, Mapping[str, float | str]] = {
     'M50': {FEED_FIXED: FIXED},
     'M51': {SPINDLE_FIXED: FIXED},
 }
-#: Further words with an encoder. The path rests before both, and follows the spindle between them.
+#: Further words with an encoder: the axes rest before both, and between them follow the spindle.
 FOLLOWS, FREE = 'G33', 'G33 ends'
-LONGEST_START = 20.0  #: Longest wait for the speed before a thread [s].
+LONGEST_START = 20.0  #: Longest wait for the spindle speed before a thread [s].
 
 
 def home_input(axis: str) -> str:
@@ -98,7 +98,7 @@ def home_input(axis: str) -> str:
 
 
 def numbered_word(code: str, values: Mapping[str, float]) -> str:
-    """Return the word of a numbered output or input, as ``M64 P3`` for M62 P3; empty if wrong."""
+    """Return the word of a numbered output or input: ``M64 P3`` for M62 P3; '' if wrong."""
     word, letter = NUMBERED.get(code, (code, 'P'))
     number, mode = values.get(letter, -1.0), values.get('L', 0.0)
     if number < 0.0 or number != int(number) or (code == 'M66' and mode not in (3.0, 4.0)):
@@ -107,7 +107,7 @@ def numbered_word(code: str, values: Mapping[str, float]) -> str:
 
 
 def limit_inputs(axis: str) -> tuple[str, str]:
-    """Return the inputs of the limit switches at the lower and at the upper end of an axis."""
+    """Return the names of the inputs of an axis's lower and upper limit switch."""
     return f'limit_{axis.lower()}_low', f'limit_{axis.lower()}_high'
 
 
@@ -116,32 +116,32 @@ def handwheel_input(axis: str) -> str:
 
 
 def square_output(axis: str) -> str:
-    """Return the output with which gantry motors stop one by one at their switches."""
+    """Return the output that makes each motor of a gantry axis stop at its own switch."""
     return f'square_{axis.lower()}'
 
 
 def index_signals(axis: str) -> tuple[str, str, str]:
-    """Return the output that requests an index, and its inputs: waiting, and removed offset."""
+    """Return the output that requests an index pulse, and its inputs: waiting, and offset."""
     return tuple(f'index{what}_{axis.lower()}' for what in ('', '_waits', '_offset'))  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
 class Signal:
     name: str
-    is_number: bool = False  #: Whether it is a number; otherwise it is 0 or 1.
+    is_number: bool = False  #: Whether the value is a number; otherwise it is 0 or 1.
     unit: str = ''  #: Unit, for display.
-    low: float = 0.0  #: Range of a number.
+    low: float = 0.0  #: Smallest and largest value.
     high: float = 1.0
-    #: Simulation of an input: it is on while the first of these outputs is not 0 and none of them
-    #: has changed for a given time [s].
+    #: Simulated input: it is on while the first of these outputs is not 0, if none of the outputs
+    #: has changed during the last ``after`` seconds.
     follows: tuple[int, ...] = ()
     after: float = 0.0
-    #: An output that follows the speed of the tip: speeds [m/s] and shares of the commanded value
-    #: [-], linear in between; and the output that must be on, or -1.
+    #: Output that follows the tip speed: speeds [m/s], shares of the commanded value there [-],
+    #: interpolated linearly, and the number of the output that must be on, or -1.
     speeds: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
     only_with: int = -1
-    ramp: float = inf  #: Acceleration of a spindle, for its ``ANGLE`` [rev/s2].
+    ramp: float = inf  #: Acceleration of a simulated spindle, see ``ANGLE`` [rev/s2].
 
     def fault_of(self, value: float) -> str:
         if not isfinite(value):
@@ -156,18 +156,18 @@ class Signal:
 
 @dataclass(frozen=True)
 class Step:
-    """One output that a function sets, and the condition for which the path then rests."""
+    """One output change of a function, and the condition that is awaited at rest after it."""
 
-    word: str  #: Word of the program, or one of ``STOPS``.
+    word: str  #: Program word of the function, or one of ``STOPS``.
     output: int  #: Number of the output.
-    value: float | str  #: Value that is set; a letter means the value of that word.
-    #: ``NO_WAIT``; k if condition k - 1 must come on, -k if it must go off;
-    #: ``ASK``, ``TIMED``. Conditions are the inputs, ``TURNING``, then the outputs.
+    value: float | str  #: Value of the output; a letter means the value of that word.
+    #: Awaited condition: k if condition k - 1 must come on, -k if it must go off, or ``NO_WAIT``,
+    #: ``ASK``, ``TIMED``. Conditions are numbered: inputs, ``TURNING``, outputs.
     wait: int = NO_WAIT
     limit: float = inf  #: Longest wait [s].
-    delay: float = 0.0  #: Time before the input is read and the next step may follow [s].
-    ends: bool = False  #: Whether a line in step with the spindle ends there.
-    #: Whether the step can break an interlock; interlocks are checked while the path rests.
+    delay: float = 0.0  #: Least time until the input is read or the next step follows [s].
+    ends: bool = False  #: Whether it ends a line in step with the spindle.
+    #: Whether the step can break an interlock; it is then executed at rest.
     guarded: bool = False
 
     @property
@@ -176,14 +176,14 @@ class Step:
 
 
 class SpindleSignals(NamedTuple):
-    """Numbers of the signals of a spindle; -1 if the machine lacks one."""
+    """Numbers of the signals of a spindle; -1 for a missing signal."""
 
-    #: Outputs ``SPEED``, ``FORWARD`` and ``REVERSE``. Without a speed there is no spindle.
+    #: Outputs ``SPEED``, ``FORWARD``, ``REVERSE``. Without ``SPEED`` there is no spindle.
     speed: int = -1
     forward: int = -1
     reverse: int = -1
-    angle: int = -1  #: The input ``ANGLE``.
-    states: int = -1  #: The first of ``STATES`` among the outputs.
+    angle: int = -1  #: Input ``ANGLE``.
+    states: int = -1  #: Output that is the first of ``STATES``.
 
 
 @dataclass(frozen=True)
@@ -192,12 +192,12 @@ class Signals:
     inputs: tuple[Signal, ...] = ()
     #: Steps of all functions; the steps of each function are consecutive.
     steps: tuple[Step, ...] = ()
-    words: Mapping[str, range] = field(default_factory=dict)  #: The steps of each word.
+    words: Mapping[str, range] = field(default_factory=dict)  #: Program word -> its steps.
     after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
-    wired: int = 0  #: Number of outputs that drives receive; then come ``STATES``.
-    #: Numbers of the outputs that each of ``STOPS`` switches off.
+    wired: int = 0  #: Number of outputs that the drives receive; ``STATES`` follow them.
+    #: Word of ``STOPS`` -> numbers of the outputs that it switches off.
     off: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    #: Conditions that must hold while an output is on, by its number; k and -k as ``Step.wait``.
+    #: Number of an output -> conditions required while it is on; k and -k as ``Step.wait``.
     interlocks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     @property
@@ -220,16 +220,16 @@ class Signals:
         return bool(self.outputs) and self.outputs[-1].name == TOOL
 
     def is_change(self, step: Step) -> bool:
-        """Return whether a step waits until the operator has changed the tool."""
+        """Return whether ``step`` waits until the operator has changed the tool."""
         return self.changed_by_hand and step.output == len(self.outputs) - 1
 
     def input(self, name: str) -> int:
-        """Return the number of an input; -1 if there is none."""
+        """Return the number of an input; -1 if the machine does not have it."""
         return next((k for k, signal in enumerate(self.inputs) if signal.name == name), -1)
 
     @property
     def probe(self) -> tuple[int, int] | None:
-        """Numbers of the output ``ARMED`` and of the input ``PROBE``; None without a probe."""
+        """Numbers of output ``ARMED`` and input ``PROBE``; None without a probe."""
         places = [
             [signal.name for signal in signals].index(name)
             for signals, name in ((self.outputs, ARMED), (self.inputs, PROBE))
@@ -247,7 +247,7 @@ class Signals:
         return [*(each.name for each in self.inputs), TURNING, *(each.name for each in self.wires)]
 
     def breach(self, output: int, value: float, conditions: Sequence[float]) -> str:
-        """Return the interlock that an output value would break; empty if it is allowed."""
+        """Return a text with the interlock that an output value would break; '' if allowed."""
         first, after = len(self.inputs) + 1, list(conditions)
         after[first + output] = value
         for k, wanted in self.interlocks.items():
@@ -282,9 +282,8 @@ def signals(
 ) -> Signals:
     """Read ``signals`` of a machine file: a mapping, or the name of a file in config/signals.
 
-    Each of the reference ``switches`` is an input, declared or not. Axes of these switches that
-    have an ``index`` pulse also get ``index_signals``, and axes to be ``squared`` get the output
-    ``square_output``.
+    Axes with reference ``switches`` get an input for each, even if it is not declared. Axes with
+    an ``index`` pulse also get ``index_signals``, and ``squared`` axes get ``square_output``.
     """
     given = content.get('signals')
     if given is None:
@@ -352,7 +351,7 @@ def signals(
 
 
 def _with_tool_change(found: Signals) -> Signals:
-    """Make M6 stop the spindle and wait for the operator, unless it is a function."""
+    """Add M6, which stops the spindle and waits for the operator, unless M6 is a function."""
     if 'M6' in found.words:
         return found
     stops = [replace(found.steps[k], word='M6') for k in found.words.get('M5', ())]
@@ -369,7 +368,7 @@ def _with_tool_change(found: Signals) -> Signals:
 def _refuse_old_answers(
     steps: list[Step], outputs: tuple[Signal, ...], inputs: tuple[Signal, ...], where: str
 ) -> None:
-    """Reject a request if the answer that it waits for may remain from an earlier request."""
+    """Reject a function whose awaited input may still be on from an earlier request."""
     for k, step in enumerate(steps):
         begins, ends = (
             any(s.output == step.output and s.wait == -step.wait for s in part)
@@ -384,10 +383,10 @@ def _refuse_old_answers(
 def _switched_off(
     given: Mapping[str, Any], outputs: tuple[Signal, ...]
 ) -> dict[str, tuple[int, ...]]:
-    """Read the table of outputs that stops switch off.
+    """Read the table ``switched_off``: word of ``STOPS`` -> outputs that it switches off.
 
-    A number without a row is kept. Every on/off output needs a row, so that no clamp opens at
-    a stop, and no spindle keeps turning, because its row was forgotten.
+    Numeric outputs without a row keep their value at a stop. Every on/off output needs a row:
+    a forgotten row could open a clamp, or let a spindle turn.
     """
     rows = _mapping(given, 'switched_off')
     for name in rows:
@@ -446,7 +445,7 @@ def _interlocks(
 
 
 def _may_break(step: Step, interlocks: Mapping[int, tuple[int, ...]], first: int) -> bool:
-    """Return whether an interlock can forbid a step; conditions from ``first`` on are outputs."""
+    """Return whether a step can break an interlock; ``first``: condition of the first output."""
     number, demands = first + step.output + 1, [c for each in interlocks.values() for c in each]
     on, off = step.value != 0.0, step.value == 0.0 or isinstance(step.value, str)
     return (on and (step.output in interlocks or -number in demands)) or (
@@ -486,7 +485,7 @@ def _add_numbered(
     steps: list[Step],
     words: dict[str, range],
 ) -> tuple[Signal, ...]:
-    """Add the words for outputs like ``digital_out_3``, and words that wait for inputs (M66)."""
+    """Add words that set outputs like ``digital_out_3``, and words that await inputs (M66)."""
 
     def add(word: str, *given: Any, **waits: Any) -> None:
         words[word] = range(len(steps), len(steps) + 1)

@@ -1,7 +1,7 @@
-"""The interface of a machine's kinematics: axis positions <-> tool poses in the workpiece.
+"""Interface to the kinematics of a machine: axis positions <-> tool poses in the workpiece.
 
-Rooms that use only ``Transform`` work for any machine. Code that uses ``five_axis`` needs rotary
-axes: their words, the pole, or X Y Z as linear axes.
+Code that uses only ``Transform`` works for any machine. Code that uses ``five_axis`` needs
+a machine with X Y Z axes, and not an arm.
 """
 
 from __future__ import annotations
@@ -18,45 +18,45 @@ from cnc_interp.machine_model.machine import Machine
 
 
 class Transform(Protocol):
-    """The kinematics of a machine; rows of q have one column for each of ``machine.axes``."""
+    """The kinematics of a machine. Axis positions q have a column for each axis."""
 
     @property
     def packed(self) -> FloatArray:
-        """The geometry for kernels: one row, or a row for each joint of a chain."""
+        """The geometry for kernels: one row, or for an arm a row for each joint."""
 
     @property
     def machine(self) -> Machine:
-        """The machine, whose axes have names, kinds, limits and travel."""
+        """The machine with its axes and limits."""
 
     @property
     def errors(self) -> ErrorMap:
-        """The map between commanded axes and the nominal ones that all other methods take."""
+        """The map between commanded and nominal axes; all other methods use nominal axes."""
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return tool tips [m] and unit tool axes [-] in W, (n, 3) each, for rows of q."""
+        """Return tool tips [m] and unit tool axes [-] in W, (n, 3) each, for axis positions q."""
 
     def rates(
         self, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
     ) -> FloatArray:
-        """Return the rates of the axes by path length where a path goes through poses, (n, m).
+        """Return the axis rates per path length at n poses of a path, (n, m).
 
         The arguments are rows of tool tip [m], tool axis, unit step of the tip, and turn of the
-        tool axis [rad/m]. The rates are those of the first m axes, and NaN where the pose is
+        tool axis [rad/m]. The m columns belong to the first m axes. Rates are NaN where a pose is
         singular or out of reach.
         """
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return the program coordinates X Y Z of tips [m] at rotary positions, (n, 3)."""
+        """Return X Y Z of the program (n, 3) [m] for tool tips and rotary positions."""
 
     def counted(self, q: FloatArray, tip: FloatArray) -> FloatArray:
-        """Return the positions that programs can name, for axis positions q (n_axes,)."""
+        """Return the program coordinates for axis positions q (n_axes,) and their tool tip."""
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
-        """Return the tool axes (n, 3) at positions of the rotary axes that words name."""
+        """Return the tool axes (n, 3) for positions of the programmed rotary axes."""
 
     @property
     def five_axis(self) -> FiveAxis:
-        """The closed form; raises MachineError if the machine has no X Y Z axes."""
+        """The transformation in closed form; raises MachineError if the machine is an arm."""
 
     @staticmethod
     def of(machine: Machine) -> Transform:
@@ -64,18 +64,18 @@ class Transform(Protocol):
 
 
 def reached(transform: Transform, commanded: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return tool tips and axes, as ``forward``, for rows of commanded axes."""
+    """Return tool tips and tool axes like ``forward``, but for commanded axes (n, n_axes)."""
     return transform.forward(transform.errors.nominal(commanded))
 
 
-NO_PART = 1e-12  #: Smaller components of the tool's direction are rounding [-].
+NO_PART = 1e-12  #: Smaller components of a tool axis count as zero [-].
 
 
 class ToolLine(NamedTuple):
-    """Axis positions ``q + x direction`` move the tip by x along the tool axis."""
+    """Line ``q + x direction`` of axis positions that moves the tip by x along the tool axis."""
 
-    direction: FloatArray  #: (n_axes,): Direction in the axes, away from the workpiece [-].
-    travel: FloatArray  #: (2,): Range of x within the travel of the axes [m].
+    direction: FloatArray  #: (n_axes,): Axis travel per x; x > 0 leads off the workpiece.
+    travel: FloatArray  #: (2,): Range of x in which all axes stay within their travel [m].
 
 
 def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:
@@ -93,9 +93,9 @@ def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:
 def start_positions(
     transform: FiveAxis, axis: FloatArray, rotary: FloatArray, near: FloatArray, line_number: int
 ) -> tuple[FloatArray, float]:
-    """Choose rotary positions (2,) [rad] and branch (+1 or -1) of a start pose.
+    """Return the rotary positions (2,) [rad] and the branch (+1 or -1) of a start pose.
 
-    ``rotary`` (2,): positions that the program names, or NaN for the solution nearest to ``near``.
+    ``rotary`` (2,): programmed positions, or NaN to choose the solution nearest to ``near``.
     Raises BlockError if the orientation cannot be reached within the travel.
     """
     machine = transform.machine
@@ -120,18 +120,18 @@ def start_positions(
     return np.asarray(pair), -minus_branch
 
 
-#: Least length of the direction of a tool axis [-], and accepted error of a fixed tool axis [-].
+#: Least length of a given tool axis [-], and tolerance if the tool axis cannot turn [-].
 LEAST_LENGTH, SAME_AXIS = 1e-6, 1e-9
 
 
 def positions_of_pose(
     transform: Transform, tip: FloatArray, axis: FloatArray | None, stands: FloatArray
 ) -> FloatArray:
-    """Return the axis positions of a tool pose, (n_axes,) [m, rad].
+    """Return the axis positions (n_axes,) [m, rad] at a tool pose.
 
-    NaN in ``tip``, or ``axis`` None, keep the current values; ``axis`` may have any length. The
-    solution nearest to ``stands`` is taken. Raises BlockError if the direction needs more travel,
-    and ValueError if its length is zero or the tool cannot turn to it.
+    Where ``tip`` is NaN or ``axis`` is None, the current value applies. ``axis`` may have any
+    length. Among several solutions, that nearest to ``stands`` is returned. Raises BlockError if
+    ``axis`` needs more travel, and ValueError if it is zero or the tool cannot turn to it.
     """
     here, present = (found[0] for found in transform.forward(stands[None, :]))
     tip = np.where(np.isnan(tip), here, tip)

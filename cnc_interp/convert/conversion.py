@@ -73,7 +73,7 @@ def convert(
 
 
 def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
-    """Replace linear rotary axes by poses, within a share of the tolerances at ``height`` [m]."""
+    """Replace linear rotary motion by poses, to a share of the tolerances at ``height`` [m]."""
     linear = np.flatnonzero(blocks.by_rotary)
     if not len(linear):
         return blocks

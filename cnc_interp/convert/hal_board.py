@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from cnc_interp.core import InterpError
 from cnc_interp.machine.hal_pins import BITS
 
-#: Words of ``halcmd`` that connect pins, with the positions of signal and pins.
+#: Words of ``halcmd`` that connect pins, with the index of the signal among their names.
 LINKS = {'net': 0, 'linksp': 0, 'linkps': 1, 'linkpp': 0}
 MOST_THREADS = 3
 SPECIAL = 'threads', 'weighted_sum'  #: Modules whose instances have no names.
@@ -28,7 +28,7 @@ class Board:
     settings: list[str] = field(default_factory=list)
 
     def add(self, module: str, name: str, inputs: Mapping[str, str | float] | None = None) -> str:
-        """Add an instance; inputs are set to numbers, or read a pin. Return its output."""
+        """Add an instance of a module, whose inputs are numbers or pins; return its output pin."""
         self.modules.setdefault(module, []).append(name)
         self.functions.append(name)
         for pin, value in (inputs or {}).items():
@@ -44,11 +44,11 @@ class Board:
             self.names[self.pin(source)] = name
 
     def pin(self, name: str) -> str:
-        """Return the name of a pin, which may belong to a ``weighted_sum``."""
+        """Return the name of a pin; a ``weighted_sum`` is renumbered from ``first_sum``."""
         return re.sub(r'wsum\.(\d+)', lambda n: f'wsum.{int(n[1]) + self.first_sum}', name)
 
     def lines(self, done: set[str]) -> list[str]:
-        """Return the connections that the lines of the configuration do not contain."""
+        """Return ``net`` lines for the connections whose pins are not in ``done``."""
         return [
             ' '.join(['net', self.names.get(pin, f'cnc-{pin}'.replace('.', '-')), pin, *readers])
             for pin, readers in self.nets.items()
@@ -69,7 +69,7 @@ class Row:
 
 
 def rows_of(text: str) -> list[Row]:
-    """Return the lines of a HAL file; all that connect pins as ``net SIGNAL PIN ...``."""
+    """Return the lines of a HAL file; those that connect pins as ``net SIGNAL PIN ...``."""
     found = []
     for line in text.replace('\\\n', ' ').splitlines():
         words = line.partition('#')[0].split()
@@ -83,7 +83,7 @@ def rows_of(text: str) -> list[Row]:
 
 
 def connected(rows: Sequence[Row]) -> dict[str, int]:
-    """Return the row that finally connects each pin, after ``unlinkp`` and ``delsig``."""
+    """Return by pin the index of the row that still connects it after ``unlinkp``, ``delsig``."""
     found: dict[str, int] = {}
     for k, words in ((k, row.words) for k, row in enumerate(rows)):
         if words[:1] == ['net'] and len(words) > 1:
@@ -96,7 +96,7 @@ def connected(rows: Sequence[Row]) -> dict[str, int]:
 
 
 class Loads:
-    """Instances of the configuration and of a board: HAL loads each module once."""
+    """Instances of modules in a configuration and on a board; HAL loads each module only once."""
 
     def __init__(self, rows: Sequence[Row], resolve: Resolve):
         self._resolve = resolve
@@ -111,7 +111,7 @@ class Loads:
         self.board = Board(len(self._list('weighted_sum', 'wsum_sizes')))
 
     def merge(self) -> None:
-        """Merge loads that both need, and repeated loads of the configuration."""
+        """Merge the loads of modules that both need, and loads that the configuration repeats."""
         self.merged |= {
             module: each
             for module, each in self._given.items()
@@ -159,7 +159,7 @@ class Loads:
         return found
 
     def _instances(self, row: Row) -> list[str]:
-        """Return the names that a line of ``loadrt`` gives: without names they are numbered."""
+        """Return the names of the instances in a ``loadrt`` line, numbered if it has no names."""
         given, module = row.given, row.words[1].replace('_', '-')
         if 'names' in given:
             return self._resolve(given['names']).split(',')

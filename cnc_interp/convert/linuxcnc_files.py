@@ -45,14 +45,14 @@ class Ini:
 
     @property
     def kinematics(self) -> list[str]:
-        """The kinematics and their words."""
+        """The kinematics module and its parameters."""
         text = self.get('KINS', 'KINEMATICS')
         demand(text, 'no KINEMATICS in [KINS]; give the INI file of LinuxCNC 2.8 or later')
         return text.split()
 
     @property
     def joints(self) -> str:
-        """The letter of the axis of each joint."""
+        """The axis letters of the joints, in order."""
         words = self.kinematics[1:]
         given = next((w.partition('=')[2] for w in words if w.startswith('coordinates=')), '')
         return (given or self.get('TRAJ', 'COORDINATES')).replace(' ', '').upper()
@@ -86,7 +86,7 @@ def comp_file(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def read_ini(path: Path) -> Ini:
-    """Read an INI file; a comment begins a line. Raises MachineError."""
+    """Read an INI file; comments are lines of their own. Raises MachineError."""
     found: Sections = {}
     section = ''
     for line in _lines(path, path.parent, DEEPEST):
@@ -115,9 +115,9 @@ def _text(path: Path) -> str:
 
 
 def hal_lines(files: Sequence[Path], ini: Ini | None) -> list[str]:
-    """Return the lines of HAL files, and of those that an INI file among them names.
+    """Return the lines of HAL files, and of the HAL files named by an INI file in ``files``.
 
-    Continued lines are joined, and ``source`` is followed. Raises InterpError for files in Tcl.
+    Continued lines are joined, and ``source`` lines included. Raises InterpError for files in Tcl.
     """
     lines: list[str] = []
     for file in files:

@@ -32,15 +32,15 @@ from cnc_interp.machine_model.signals import (
 #: Modules of the motion controller, by name or as the INI file names them.
 MOTION = re.compile(r'motmod|tpmod|homemod|[\w-]+kins|\[(KINS|EMCMOT|TRAJ)\].*')
 THREADS = re.compile(r'motmod|\[EMCMOT\]\(?EMCMOT\)?')  #: Module that makes the threads.
-#: Pins of programs that do not run beside cnc_interp.
+#: Pins of LinuxCNC programs that do not run together with cnc_interp.
 ABSENT = re.compile(r'(joint|axis|axisui|halui|iocontrol|motion|spindle|tp|ini|[\w-]+kins)\.\S+')
 #: Pins that request the power of a joint.
 ENABLE = re.compile(r'joint\.\d+\.amp-enable-out|motion\.motion-enabled|halui\.machine\.is-on')
-#: Input that shows the released emergency stop, the pin that requests it, and its reset.
+#: Input that is on if the emergency stop is released, pin that requests this, and the reset.
 RELEASED, LOOP = 'iocontrol.0.emc-enable-in', 'iocontrol.0.user-enable-out'
 RESET = 'iocontrol.0.user-request-enable'
 STOP = 'cnc-released'  #: Signal that replaces that of the emergency stop.
-OURS = 'cnc.'  #: Pins with this begin are outputs and inputs of the machine file, by name.
+OURS = 'cnc.'  #: Pins that begin with this are outputs and inputs of the machine file, by name.
 NUMBER = 'iocontrol.0.tool-prep-number'  #: Number of the tool, an integer pin in LinuxCNC.
 SPINDLE_FAULT = 'spindle.0.amp-fault-in'
 #: Functions that replace those of the motion controller.
@@ -102,15 +102,15 @@ class _Conversion:
         )
         self.made: list[str] = []
         self.left_out: list[str] = []
-        self.signals: set[str] = set()  #: Signals so far.
-        self.placed: set[str] = set()  #: Pins of ours in the lines of the configuration.
+        self.signals: set[str] = set()  #: Signals found so far.
+        self.placed: set[str] = set()  #: Our pins in lines of the configuration.
         self.needed = {HANDLER, CONTROLLER}
         self._wire(axes, signals)
         self.loads.merge()
         self.threads: dict[str, str] = {}
 
     def _wire(self, axes: Sequence[str], signals: Signals) -> None:
-        """Lay out the additions of cnc_interp, and its pins that replace those of LinuxCNC."""
+        """Add the instances of cnc_interp, and note which of their pins replace LinuxCNC's."""
         board, n = self.board, self.n
         outputs, inputs = pins_of(n, signals)
         board.functions.append(STREAMER)
@@ -134,7 +134,7 @@ class _Conversion:
         self.ours = {each for pins in self.place.values() for each in pins.split()}
 
     def _power(self, faults: list[str], signals: Signals) -> None:
-        """Gate the power: requested, no fault, no empty stream, emergency stop released.
+        """Switch power on if requested, without fault, stream filled, emergency stop released.
 
         Without power, gated outputs are off until cnc_interp requests power again.
         """
@@ -225,7 +225,7 @@ class _Conversion:
             board.connect(board.add('scale', f'{x}-from-hal', {'gain': unit}), back)
 
     def _limit(self, name: str, pins: list[str], inputs: dict[str, str]) -> None:
-        """Connect the limit switches at one end of an axis: of all its motors."""
+        """Connect the limit switches of all motors of an axis at one end of its travel."""
         given = [pin for pin in pins if pin in self.final]
         if name not in inputs or not given:
             return
@@ -237,7 +237,7 @@ class _Conversion:
     def _index(
         self, x: str, asked: str, command: str, actual: str, offset: str, unit: float
     ) -> tuple[str, str]:
-        """Let an axis count from its index pulse; return the pins of its command and position.
+        """Zero an axis at its index pulse; return the pins of its command and actual position.
 
         At its index pulse an encoder restarts at 0. In that period ``index`` removes the jump from
         the position and adds it to the command, so that the machine sees a continuous position.
@@ -269,7 +269,7 @@ class _Conversion:
         square: str,
         home: str,
     ) -> None:
-        """Move two motors by one axis; each stops at its switch while ``square`` is on.
+        """Drive two motors of one axis; each one stops at its switch while ``square`` is on.
 
         The command of a motor is offset by the distance that it missed while stopped. Without
         power, the second motor's command follows its own position, so that nothing jumps at
@@ -451,7 +451,7 @@ class _Conversion:
         self.made.append(' '.join(words) if kept or not row.words[2:] else f'# {row.line}')
 
     def finished(self) -> tuple[str, list[str]]:
-        """Return the file and the omitted lines."""
+        """Return the text of the file, and the omitted lines."""
         if self.needed:
             raise InterpError(
                 f'no HAL file names {min(self.needed)}; give all files of the configuration'

@@ -17,14 +17,14 @@ from cnc_interp.machine_model.geometric_errors import error_table
 from cnc_interp.machine_model.machine import from_mapping
 
 JERK = 10.0  #: Jerk where the INI has none, over the acceleration [1/s].
-#: Kinematics that are known: rotary axes, the first one carries the second one.
+#: Rotary axes of each known kinematics module; the first axis carries the second one.
 KINEMATICS = {'trivkins': '', 'xyzac-trt-kins': 'AC', 'xyzbc-trt-kins': 'BC'}
 #: Rotary axes of a machine without a transformation; the first one carries the second one.
 ROTARY = ('', 'A', 'B', 'C', 'AB', 'AC', 'BC')
 EXTRA = {'U': 'X', 'V': 'Y', 'W': 'Z'}  #: Extra axes, and along which axes they run.
 LARGEST_ERROR = 100.0  #: A larger limit of the following error stops no axis [mm, deg].
 ABOUT = {'A': [1, 0, 0], 'B': [0, 1, 0], 'C': [0, 0, 1]}
-#: Keys of ``[AXIS_L]`` and ``[JOINT_N]`` that change nothing here, and why.
+#: Keys of ``[AXIS_L]`` and ``[JOINT_N]`` that are ignored, and why.
 OF_AXES = {
     'BACKLASH': 'play is not compensated',
     'MIN_FERROR': 'the limit of the following error does not depend on the velocity',
@@ -38,7 +38,7 @@ OF_AXES = {
     'VOLATILE_HOME': 'an axis keeps its place without power',
     'OFFSET_AV_RATIO': 'there are no external offsets',
 }
-#: The same for keys of other sections.
+#: Keys of other sections that are ignored, and why.
 ELSEWHERE = {
     ('EMCIO', 'TOOL_CHANGE_POSITION'): 'enter it as G30, and write tool_change_macro: tool_change',
     ('EMCIO', 'TOOL_CHANGE_QUILL_UP'): 'move Z up in the program, or in a macro before M6',
@@ -60,7 +60,7 @@ ELSEWHERE = {
 class Import:
     ini: Ini
     notes: list[str] = field(default_factory=list)  #: What was assumed.
-    ignored: dict[str, list[str]] = field(default_factory=dict)  #: Keys by the reason.
+    ignored: dict[str, list[str]] = field(default_factory=dict)  #: Ignored keys, by the reason.
 
     def ignore(self, reason: str, key: str) -> None:
         keys = self.ignored.setdefault(reason, [])
@@ -163,7 +163,7 @@ class _Axis:
         return number(source[key], self.letter, key) if key in source else usual
 
     def limits(self) -> dict[str, Any]:
-        """Return the limits of the axis, the narrowest of its sections; note an assumed jerk."""
+        """Return the narrowest limits in the sections of the axis; note an assumed jerk."""
         unit, straight, found = self.unit, self.straight, self.found
         speed, turn = (M_PER_MIN, 1.0) if straight else (REV_PER_MIN, REV)
         largest = [min(self.values('MAX_VELOCITY')) * unit]

@@ -8,7 +8,7 @@ from cnc_interp.convert.linuxcnc_files import UNITS, Ini, number
 from cnc_interp.core import DEG, INCH, MM
 from cnc_interp.machine_model.machine import Machine
 
-#: Pins of LinuxCNC, by the names of the outputs and inputs that take over their signals.
+#: Pins of LinuxCNC, by the names of the outputs and inputs that replace them.
 PINS = {
     'spindle_forward': 'spindle.0.forward',
     'spindle_reverse': 'spindle.0.reverse',
@@ -32,7 +32,7 @@ PINS = {
 
 @dataclass(frozen=True)
 class Wiring:
-    """The joints of a machine; all but their letters may be left out."""
+    """The joints of a machine; only ``joints`` is required."""
 
     joints: str  #: Letter of the axis of each joint, as ``XYZ``.
     units: Mapping[str, float] = field(default_factory=dict)  #: HAL's unit of an axis [mm, deg].

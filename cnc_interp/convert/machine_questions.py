@@ -33,7 +33,7 @@ def _leaves(content: dict[str, Any], *keys: str) -> Iterator[tuple[str, ...]]:
 
 
 def _put(content: dict[str, Any], place: tuple[str, ...], value: Any) -> dict[str, Any]:
-    """Return the content with another value; the limits follow the name of an axis."""
+    """Return the content with a new value at ``place``; limits are renamed with their axis."""
     changed = deepcopy(content)
     holder = changed
     for key in place[:-1]:

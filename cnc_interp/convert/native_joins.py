@@ -62,7 +62,7 @@ def linked(
     tolerance: float = 1e-8,
     septic: bool = False,
 ) -> Linked:
-    """Join a portion with the paths before and after it, if any; InterpError if no f increases."""
+    """Join a portion with the paths before and after it; InterpError if f cannot increase."""
     from scipy.interpolate import BPoly
 
     length = float(portion.knots[-1])
@@ -125,7 +125,7 @@ def _both(curve: BSpline, f: BPoly, u: FloatArray) -> FloatArray:
 
 
 def _distance(found: FloatArray, wanted: FloatArray, height: float) -> float:
-    """Return the largest distance of tips and of points at flank height [m]."""
+    """Return the largest distance between two paths, of tips or points at flank height [m]."""
     ends = []
     for both in (found, wanted):
         tool = both[:, 3:] - both[:, :3]
@@ -218,7 +218,7 @@ class Joins:
         return made
 
     def _open(self, portion: Portion, jets: Jets | None, at_end: bool) -> Jets | None:
-        """Return the jets of a neighbour that the portion does not continue yet."""
+        """Return the jets of a neighbour that meets the portion with a jump; else None."""
         if jets is None:
             return None
         own = portion.jets(at_end)
@@ -231,7 +231,7 @@ def _rate_jump(jets: Jets, other: Jets) -> float:
 
 
 def _line(blocks: Blocks, row: int, before: bool) -> Jets | None:
-    """Return the jets where a line meets the curve after or before it; None if it does not."""
+    """Return the jets of a line at its joint with a curve; None without line or joint."""
     if not 0 < row < len(blocks) or blocks.on_spline[row]:
         return None
     if blocks.exact_stop[row if before else row - 1]:

@@ -1,7 +1,7 @@
 """Smooth segments as lines and pairs of cubic B-splines; ``losses``: what a control may lose.
 
-On a corner the tool axis is that of top(f(u)) + E(u) - bottom(u). A cubic spline with more knots
-interpolates the second point, with its derivatives at both ends, until the tolerance holds.
+On a corner the tool axis is that of top(f(u)) + E(u) - bottom(u). A cubic spline with ever
+more knots interpolates the second point and its end derivatives until the tolerance holds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
 
-#: Most knot intervals of one segment, and points per interval at which the distance is measured.
+#: Largest number of knot intervals of a segment; number of points per interval for distances.
 MOST_INTERVALS, PROBES = 512, 8
 
 
@@ -54,7 +54,7 @@ class Portion:
         return BSpline(self.knots, np.hstack([self.bottom, self.top]), 3)
 
     def end_span(self, at_end: bool) -> tuple[FloatArray, FloatArray, float]:
-        """Return Bezier points, shape (1, 4, 3), of the span at one end, inward; its length."""
+        """Return Bezier points of both curves, (1, 4, 3), from one end inward; and span length."""
         step = self.knot_interval[1:4] if not at_end else self.knot_interval[-3:-6:-1]
         ends = np.cumsum(np.concatenate([step, np.zeros(3)]))[:3]  # a lone span has two
         knots = np.concatenate([np.zeros(3), ends])[None]
@@ -79,7 +79,7 @@ class CubicCurve(Portion):
 def cubic_curve(
     segments: PathSegments, i: int, height: float, tolerance: float, constant_height: bool
 ) -> CubicCurve:
-    """Approximate a corner or spline by two cubic B-splines with one parameter, or BlockError."""
+    """Approximate segment ``i`` by two cubic B-splines with one parameter, or raise BlockError."""
     if segments.kind[i] == kinds.CORNER and not len(segments.parametrization[i]):
         if not segments.connection[i].any():
             # By its own 5 + 5 control points [B2013, 4.1].
@@ -153,7 +153,7 @@ def _on_curve(points: FloatArray, u: FloatArray) -> FloatArray:
 def _distance(
     spline: BSpline, segments: PathSegments, i: int, u: FloatArray, height: float
 ) -> float:
-    """Return the largest distance of tip and of point at flank height at the same u [m]."""
+    """Return the largest distance at equal u, of the tip or the point at flank height [m]."""
     wanted, _ = _points(segments, i, u, height, True)
     found = spline(u)
     tool = found[:, 3:] - found[:, :3]
@@ -222,7 +222,7 @@ class SplineMoves:
             )
 
     def _constant_height(self, first: int, last: int) -> bool:
-        """Return whether second points are at flank height: corners, and curves with gaps."""
+        """Return whether second points are at flank height, as needed for corners and gaps."""
         segments = self.segments
         if (segments.kind[first:last] == kinds.CORNER).any():
             return True

@@ -52,7 +52,7 @@ class Motion:
     links: Links
 
     def spans_where(self, holds: BoolArray) -> Spans:
-        """Return the intervals of path length in whose cells ``holds``, (N - 1,), is true [m]."""
+        """Return the intervals of path length [m] in which ``holds`` (N - 1,) is true, by cell."""
         edges = np.flatnonzero(np.diff(holds.astype(np.int8), prepend=0, append=0))
         s = self.cells.s
         return [(float(s[a]), float(s[b])) for a, b in edges.reshape(-1, 2)]
@@ -174,7 +174,7 @@ def _certificates(motion: Motion, found: Mapping[str, Any]) -> BoolArray:
 
 
 def _hits(motion: Motion, found: Mapping[str, Any]) -> dict[tuple[int, int], Spans]:
-    """Return for each pair of bodies where hits replace certificates; every hit is a failure."""
+    """Report every hit as a failure; return where each pair of bodies needs no certificate."""
     ledger, placed = motion.ledger, motion.placed
     pieces = placed.pieces
     excused: dict[tuple[int, int], Spans] = {}
@@ -213,7 +213,7 @@ def stock_is_cut(placed: Placed, a: int, b: int) -> bool:
 
 
 def _off(pieces: Any, piece: int, point: FloatArray) -> float:
-    """Return the distance of a point from a piece without its rounding radius [m]."""
+    """Return the distance of a point from a piece, ignoring its rounding radius [m]."""
     from scipy.optimize import nnls
 
     discs = pieces.disc[pieces.first[piece] : pieces.first[piece + 1]]
@@ -304,7 +304,7 @@ def _cover(
 
 
 def _parts(placed: Placed, p: int, q: int) -> list[tuple[int, int]]:
-    """Return the pairs that arise when the larger piece is divided; any choice is sound."""
+    """Return the pairs of pieces after dividing the larger one; dividing either is sound."""
     child, ball = placed.pieces.child, placed.pieces.ball
     if child[p, 0] < 0 and child[q, 0] < 0:
         return []

@@ -1,4 +1,4 @@
-"""Compare the motions of a program text with the rows of a plan, by lines or by places."""
+"""Compare the motions of a program text with the rows of a plan, by line or by position."""
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -70,7 +70,7 @@ class RowsByLine:
         return self.row
 
     def waits(self, plan: PlanFiles, known: Collection[str] = ()) -> tuple[str, ...]:
-        """Return the differences in functions and program stops."""
+        """Return the differences between text and plan in functions and program stops."""
         signals = self.machine.signals
         waits = np.zeros(len(self.blocks['line']), dtype=np.int64)
         waits_first, faults = False, []
@@ -370,7 +370,7 @@ class RowsByPlace(RowsByLine):
         return super().take(move)
 
     def rows_of(self, move: ReadMove) -> int:
-        """Return the row after those of a motion; they end with the first row at its end point."""
+        """Return the first row after a motion; its last row is the first one at its end point."""
         before = self.before
         if before is None:
             return 1

@@ -1,4 +1,4 @@
-"""Completeness of a motion: it passes every vertex, reaches axis words, and rests at stops."""
+"""Completeness of a motion: it passes every vertex and axis position, and makes every stop."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def _rests(position: FloatArray, crawl: FloatArray) -> bool:
 def _prove_rotary_words(
     ledger: Ledger, plan: PlanFiles, program: ProgramShapes, search: VertexSearch, where: IntArray
 ) -> None:
-    """Check that rotary axes pass their words, on the programmed branch and in the right turn.
+    """Check that rotary axes pass their programmed positions, on the right branch and turn.
 
-    At a rounded vertex an axis may miss its word by the tolerances at flank height, divided by the
-    sine between the tool and that axis.
+    At a rounded vertex an axis may miss its position by the tolerances at flank height, divided by
+    the sine of the angle between the tool and that axis.
     """
     rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
@@ -170,10 +170,10 @@ class VertexSearch:
         tolerance: FloatArray,
         unit: FloatArray | None = None,
     ) -> tuple[FloatArray, IntArray]:
-        """Return the distance of each vertex from the motion, and the sample before that place.
+        """Return the distance of each vertex from the motion, and the sample before that point.
 
-        The samples of its rows are searched first, and more samples if they miss the vertex.
-        ``unit`` (M, 3): length per coordinate in which the tolerance is 1.
+        The samples of the rows at a vertex are searched first, then more if they miss it.
+        ``unit`` (M, 3): divisors of the coordinates, after which the tolerance is 1.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))

@@ -1,4 +1,4 @@
-"""Check that functions act in order, and that lines in step follow the angle of the spindle."""
+"""Check that functions act in order, and that lines in step with the spindle follow its angle."""
 
 from collections import Counter
 from collections.abc import Collection
@@ -24,7 +24,7 @@ SAME_VALUE = 1e-9  #: Largest relative difference of equal output values [-].
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     """Check that every function acts in order and at the start of its block.
 
-    Of the machine's table of functions, only the entries that wait for a rest are used.
+    Of the machine's table of functions, only the entries that wait for a standstill are used.
     """
     found, signals, count = plan.functions, machine.signals, len(plan.block)
     block, step, sample = (found[name] for name in ('block', 'step', 'sample'))

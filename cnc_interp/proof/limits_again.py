@@ -17,7 +17,7 @@ def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
 
 
 def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatArray:
-    """Return the limits for differences: as averages, they need only keep the largest limit."""
+    """Return the limits of differences, which are averages: the largest limit in their range."""
     limits = np.tile(machine.limits.by_order[order - 1], (len(q) - order, 1))
     for j, of in machine.limits.placed:
         around = sliding_window_view(q[:, j], order + 1)
@@ -32,7 +32,7 @@ def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatA
 
 
 def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> FloatArray:
-    """Return |J a + B v + C sign(v)| at each inner sample; the smaller one at a reversal."""
+    """Return the torque |J a + B v + C sign(v)| at inner samples; at reversals the smaller one."""
     load = machine.limits.loads[axis]
     before, after = q[1:-1] - q[:-2], q[2:] - q[1:-1]
     inertia = load.inertia * (after - before) / period**2

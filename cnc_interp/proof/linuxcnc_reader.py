@@ -49,7 +49,7 @@ _CHANGE = re.compile(
     re.MULTILINE | re.IGNORECASE,
 )
 _INCHES = re.compile(r'G\s*20(?!\d)', re.IGNORECASE)
-_PLACE = re.compile(r'#\s*(5[123]\d[123])(?!\d)')  #: X, Y or Z of a place that is set.
+_PLACE = re.compile(r'#\s*(5[123]\d[123])(?!\d)')  #: Parameter of a stored X, Y or Z.
 _LABEL = re.compile(r'O\s*(\d+|<[^<>]+>)\s*SUB', re.IGNORECASE)
 _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
 #: Words, outside comments, that cannot be compared, and why. Each pattern begins at its letter:
@@ -211,7 +211,7 @@ def _moves(
             yield replace(move, rotary=move.rotary[columns])
 
 
-#: Printed calls and their words. For the words in ``KNOWN_CALLS`` every function is printed.
+#: Printed calls and their words. rs274 prints every function of the words in ``KNOWN_CALLS``.
 _CALLS = {
     'SET_SPINDLE_SPEED': 'S',
     'START_SPINDLE_CLOCKWISE': 'M3',

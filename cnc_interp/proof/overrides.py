@@ -15,7 +15,7 @@ from cnc_interp.proof.plan_files import PlanFiles, spans
 
 
 class Overrides:
-    """Factors on the programmed feed; factor k applies from setpoint ``first[k]`` on."""
+    """Factors on the programmed feed; factor k begins at setpoint ``first[k]``."""
 
     def __init__(self, plan: PlanFiles, machine: Machine):
         steps = np.array(plan.summary.get('overrides', [[0, 1.0, 1.0]]), dtype=float)
@@ -53,10 +53,10 @@ class Overrides:
         return max(int(np.searchsorted(self.first, sample, side='right')) - 1, 0)
 
     def near(self, place: FloatArray, s: FloatArray, rows: IntArray) -> FloatArray:
-        """Return the largest factor between the two neighbours of each place.
+        """Return the largest factor between the two neighbours of each path position.
 
-        ``place`` [m] has one more entry at each end than ``rows``; ``s`` [m] is the place where
-        each factor begins.
+        ``place`` [m] has one more entry at each end than ``rows``; ``s`` [m] is the path position
+        at which each factor begins.
         """
         low = np.searchsorted(s, place[:-2], side='right') - 1
         high = np.searchsorted(s, place[2:], side='right') - 1

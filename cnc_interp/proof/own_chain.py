@@ -66,9 +66,9 @@ class OwnChain:
         return pose[:, :3, 3], -pose[:, :3, 2]
 
     def spins(self, q: FloatArray) -> FloatArray:
-        """Return the turns of the tool about its axis [rad] from part X (n,).
+        """Return the spin of the tool about its axis, (n,) [rad].
 
-        Part X is carried from part Z to the tool axis by the least turn.
+        Its zero is X of the part after the least turn of Z of the part to the tool axis.
         """
         pose = self.poses(q)
         side, axis = pose[:, :3, 0], -pose[:, :3, 2]

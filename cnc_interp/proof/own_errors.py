@@ -12,7 +12,7 @@ from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles, Stored, spans
 
-DEGREE = 5  #: Of the splines through the tables.
+DEGREE = 5  #: Degree of the splines through the tables.
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class OwnErrors:
     machine: Machine
 
     def nominal(self, commanded: FloatArray) -> FloatArray:
-        """Return axis positions (n, n_axes) at which an ideal machine has the tips of this one."""
+        """Return axis positions, (n, n_axes), that give an ideal machine the tips of this one."""
         errors, found = self.machine.errors, np.array(commanded)
         if errors is None:
             return found
@@ -40,7 +40,7 @@ class OwnErrors:
         return found
 
     def _tool(self, q: FloatArray, length: float) -> FloatArray:
-        """Return the tip in the frame that X Y Z carry, (n, 3) [m]."""
+        """Return the tool tip in the frame that X Y Z move, (n, 3) [m]."""
         machine = self.machine
         tip, head = machine.tool_offset
         arm = np.tile(tip + [0.0, 0.0, length], (len(q), 1))
@@ -54,7 +54,7 @@ class OwnErrors:
 
 
 def turned(rotation: FloatArray, points: FloatArray) -> FloatArray:
-    """Turn points (n, 3) by rotation vectors (n, 3) [rad]."""
+    """Rotate points (n, 3) by rotation vectors (n, 3) [rad]."""
     return np.asarray((turns(rotation) @ points[:, :, None])[:, :, 0])
 
 
@@ -80,7 +80,7 @@ def error_frame(nodes: FloatArray, errors: FloatArray, at: FloatArray) -> FloatA
 
 
 def in_nominal_axes(plan: PlanFiles, machine: Machine) -> PlanFiles:
-    """Return a plan with the positions at which an ideal machine has the tips of this one."""
+    """Return a plan with axis positions that give an ideal machine the tips of this one."""
     if machine.errors is None:
         return plan
     own, path = OwnErrors(machine), plan.path

@@ -27,10 +27,10 @@ ROUNDED = 1e-14  #: Bound of rounding errors in axis positions [m, rad].
 SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
 JUMPS = {1: 1e-6, 2: 1e-2}
-#: If a path is longer than the travel of its tip by this factor, the tip rests while it turns [-].
+#: If a path is longer than the travel of its tip by this factor, the tip counts as at rest [-].
 TURNS = 1e6
-#: Above this turn of the tool axis per way of the tip, path length counts the turn. The feed of
-#: the tip itself is proven at the setpoints [1/m].
+#: Above this turn of the tool axis per distance of the tip, path length includes the turn. The
+#: feed of the tip itself is then proven at the setpoints [1/m].
 SWIVEL = 10.0 / MM
 ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 
@@ -121,7 +121,7 @@ def _prove_feeds(
 
 
 def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return the rows that the path names, and the highest feed in and around each [m/s]."""
+    """Return the program rows of the path, and the highest feed in and around each [m/s]."""
     blocks = plan.blocks
     length = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
     free = blocks['rapid'] | np.isfinite(blocks['duration']) | (blocks['interpolation'] != 0)
@@ -226,7 +226,7 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
 
 
 def _path_jerk(ledger: Ledger, first: int, last: int) -> FloatArray:
-    """Return the path jerk that the axes allow on both sides of grid points [m/s3]."""
+    """Return the larger path jerk that the axes allow on both sides of grid points [m/s3]."""
     path, cells = ledger.plan.path, len(ledger.plan.path['s']) - 1
     found = np.zeros(last - first)
     for name, shift in (('cell_left', 0), ('cell_right', -1)):

@@ -19,7 +19,7 @@ _HEADER = re.compile(r'[XYZ\s,;]+(?:Q[XYZW][\s,;]*){4}(?:FEED)?[\s,;]*')
 
 
 def poses_of(lines: list[str], feed: float, refuse: Callable[[str], Exception]) -> Iterator[Pose]:
-    """Yield the poses of a text; upper case, comments included."""
+    """Yield the poses of a text, given as lines in upper case with their comments."""
     told = [(k, line.strip(' ,;')) for k, line in enumerate(lines, start=1) if line.strip()]
     if _HEADER.fullmatch(told[0][1]):
         names = re.split(r'[\s,;]+', told[0][1])

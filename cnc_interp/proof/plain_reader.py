@@ -126,7 +126,7 @@ class ReadMove:
     feed: float
     duration: float
     tcp: bool  #: Whether X Y Z are the tool tip; otherwise they are axis positions.
-    #: Both axes in the plane of an arc, and the one normal to it.
+    #: The two axes in the plane of an arc, and the one normal to it.
     plane: tuple[int, int, int] = (0, 1, 2)
     centre: FloatArray | None = None  #: (2,): Centre of an arc in its plane [m].
     sweep: int = 0  #: 1 for a counter-clockwise arc, -1 for a clockwise one, 0 for a line.
@@ -136,7 +136,7 @@ class ReadMove:
     tolerance: float = float('nan')  #: Contour tolerance [m]; NaN if the settings give it.
     orientation: float = float('nan')  #: Orientation tolerance [m]; NaN if settings give it.
     stop: bool = False  #: Whether the text demands a rest at its end.
-    #: Whether a rotary axis has been programmed, with words that are end positions of the axes. On
+    #: Whether rotary axes have been programmed by words that are end positions of the axes. On
     #: great circles the words give only the direction of the tool.
     worded: bool = False
     #: (3,): Normal of the part, if ``end`` is the cutter contact point.

@@ -187,7 +187,7 @@ def spans(count: int) -> Iterator[tuple[int, int]]:
 
 
 def held(column: Any, first: int, last: int, before: int, after: int) -> NDArray[Any]:
-    """Return rows [first, last) with neighbours; beyond the column, end rows repeat."""
+    """Return rows [first, last) with neighbours; end rows are repeated beyond the column."""
     low, high = max(first - before, 0), min(last + after, len(column))
     edges = ((before - (first - low), after - (high - last)), *[(0, 0)] * (column.ndim - 1))
     return np.pad(column[low:high], edges, mode='edge')
@@ -219,7 +219,7 @@ class PlanFiles:
     #: Pieces of motion that cut the stock, and the remaining material on its lines.
     removal: Columns = field(default_factory=dict)
     remaining: Columns = field(default_factory=dict)
-    rest: Columns = field(default_factory=dict)  #: Its excess at places on the part.
+    rest: Columns = field(default_factory=dict)  #: Excess material at points of the part.
     #: Setpoints of lines in step with the spindle and its ``angle`` [rev]; only records have them.
     followed: Columns = field(default_factory=dict)
 
@@ -241,7 +241,7 @@ class PlanFiles:
 
     @property
     def starts_inside(self) -> bool:
-        """Whether the run started inside the program; row 0 is then the end of the skipped row."""
+        """Whether the run started inside the program; row 0 is then the end of a skipped row."""
         return bool(self.summary.get('start'))
 
     @property

@@ -38,7 +38,7 @@ def with_program(proof: Proof, found: Agreement) -> Proof:
 
 
 def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agreement:
-    """Compare the blocks with the text as other readers read it; InterpError if none can."""
+    """Compare the blocks with the text as read by other readers; InterpError if none can."""
     settings = plan.settings
 
     def demand(holds: bool, why_not: str) -> None:

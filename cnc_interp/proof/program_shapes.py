@@ -28,9 +28,9 @@ BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 @dataclass(frozen=True)
 class ProgrammedAxes:
     machine: Forward  #: The forward kinematics.
-    #: (M,): Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
+    #: (M,): Rows with linear rotary axes, and rows next to them in which only the tip moves.
     known: BoolArray
-    #: (M,): Rows whose rotary axes run linearly; known rows in coordinates of the machine axes.
+    #: (M,): Rows with linear rotary axes; known rows in coordinates of the machine axes.
     linear: BoolArray
     in_axes: BoolArray
     #: (M, n): Coordinates at the start of known rows, and their change along the row [m, rad].
@@ -44,7 +44,7 @@ class ProgrammedAxes:
 
     @staticmethod
     def of(plan: PlanFiles, machine: Machine) -> ProgrammedAxes | None:
-        """Return the lines of a plan's program; None if no row moves rotary axes linearly."""
+        """Return the linear rows of a plan; None if no row moves rotary axes linearly."""
         blocks = plan.blocks
         kind = np.asarray(blocks['interpolation'], dtype=np.int64)
         linear = kind != POSES
@@ -110,8 +110,8 @@ class ProgrammedAxes:
     ) -> FloatArray:
         """Update ``result`` where lines of the rows ``block`` or their neighbours are nearer.
 
-        Return the largest use (K,) of both tolerances by tip, point at flank height, rotary and
-        extra axes at one place of a line in machine axes; 0 for other kinds of rows [-].
+        Return the use (K,) of both tolerances at the nearest point of a line in machine axes: the
+        largest of tip, point at flank height, rotary and extra axes; 0 for other rows [-].
         """
         least, beside = np.full(len(block), np.inf), np.zeros(len(block))
         tip, axis = self.machine.forward(position)
@@ -138,14 +138,14 @@ class ProgrammedAxes:
     def speeds(
         self, position: FloatArray, tip: FloatArray, row: IntArray, period: float
     ) -> FloatArray:
-        """Return the speed along the lines between samples of rows, shape (K - 1,) [m/s]."""
+        """Return the speed between samples, along the lines of their rows, (K - 1,) [m/s]."""
         step = np.diff(position, axis=0)
         beside = ~self.in_axes[row]
         step[beside, :3] = np.diff(tip, axis=0)[beside]
         return np.asarray(np.linalg.norm(step * self.scale, axis=1) / period)
 
     def gaps(self, position: FloatArray, tip: FloatArray, row: int) -> FloatArray:
-        """Return the distance of samples from the end of a known row, in the X Y Z of its feed."""
+        """Return the distance of samples from the end of a row [m], in X Y Z of its feed."""
         here = position[:, :3] if self.in_axes[row] else tip
         return np.asarray(np.linalg.norm(here - (self.start + self.step)[row, :3], axis=1))
 
@@ -159,7 +159,7 @@ class _Search:
     top: FloatArray
 
     def best(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the nearest place on each row (m,), the gaps (m, 4) and their use (m,) there."""
+        """Return the nearest point on each row, (m,) in [0, 1], its gaps (m, 4) and use (m,)."""
         program, scale = self.program, self.program.scale
         step = program.step[self.k] * scale
         square = np.maximum((step**2).sum(axis=1), 1e-300)
@@ -182,7 +182,7 @@ class _Search:
         return x, gaps, use
 
     def gaps(self, rows: IntArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compare poses with the places x in [0, 1] on rows, both shape (m,).
+        """Compare poses with the points at x in [0, 1] on rows, both shape (m,).
 
         Return the gaps of extra axes, rotary axes, tip and point at flank height, each divided by
         its tolerance, shape (m, 4). The use (m,) is the largest gap, relative to the smaller
@@ -268,7 +268,7 @@ class ProgramShapes:
 
 
 def measure(program: ProgramShapes, position: FloatArray, block: IntArray) -> Deviation:
-    """Measure positions (K, n) [m, rad] against a program; ``block`` (K,) is the executed row."""
+    """Measure the deviation of positions (K, n) from a program; ``block`` (K,): executed rows."""
     tip, axis = program.transform.forward(position)
     result = measure_widely(program, tip, axis, block, position)
     blocks = program.plan.blocks

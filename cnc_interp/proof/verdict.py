@@ -1,4 +1,4 @@
-"""The result of a proof: its assumptions, largest uses and failures, as text and JSON."""
+"""The result of a proof: assumptions, largest uses of limits, and failures, as text and JSON."""
 
 from __future__ import annotations
 

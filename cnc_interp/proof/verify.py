@@ -38,7 +38,7 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
 
 
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
-    """Check a plan and return uses and failures; the grid is left out if ``path`` is empty."""
+    """Check a plan and return the proof; if ``path`` is empty, the grid is not checked."""
     if machine.has_rotary and plan.flank_height <= 0.0:
         why = 'so that the tool axis would not be checked'
         raise InterpError(f'flank_height is 0, {why}; plan again')
@@ -194,7 +194,7 @@ def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -
 
 
 def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> PlanFiles:
-    """Check the order of the program; return the plan with the nearest possible row numbers."""
+    """Check the order of a motion; return the plan with the nearest possible row numbers."""
     contour, orientation = program.contour + SLACK, program.orientation + SLACK
     machine, path = program.machine, program.path
     order = order_of(program, (contour, orientation))
@@ -344,7 +344,7 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
 def with_beside(
     proof: Proof, machine: Machine, period: float, stretches: Sequence[FloatArray]
 ) -> Proof:
-    """Add limits and travel of motion outside the program to a proof; stretches (K, n_axes)."""
+    """Add limits and travel of motion outside the program, ``stretches`` (K, n_axes)."""
     if not stretches:
         return proof
     largest, faults = 0.0, []

@@ -66,7 +66,7 @@ class Blocks(Table):
     def of_poses(
         tip: FloatArray, axis: FloatArray, feedrate: float, tolerance: float = 0.02 * MM
     ) -> Blocks:
-        """Return linear blocks through tips and tool axes in W, (N, 3); row 0 is the start pose."""
+        """Return linear blocks through tips and tool axes in W, (N, 3); row 0 is the start."""
         n = len(tip)
         length = np.linalg.norm(axis, axis=-1)
         if not (np.isfinite(tip).all() and (np.abs(length - 1.0) < 1e-6).all()):

@@ -404,7 +404,7 @@ class CutterRadius:
         return None
 
     def _close(self, first: int, begin: Element) -> None:
-        """Close a loop that begins with ``begin``, which is element ``first`` or its rest."""
+        """Close a loop that begins at element ``first``; ``begin`` is that element or its rest."""
         if self._is_closed or first > LEADS:
             return
         self._is_closed = True

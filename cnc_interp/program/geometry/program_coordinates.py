@@ -57,7 +57,7 @@ class ProgramCoordinates:
         return found
 
     def change_of_zero(self, change: Mapping[int, float]) -> FloatArray:
-        """Return the change of a work offset that reduces coordinates (by index) [m, rad]."""
+        """Return the change of a work offset that lowers coordinates by ``change`` [m, rad]."""
         less = np.zeros(max(3, len(self.origin)))
         for index, value in change.items():
             less[index] = value

@@ -329,7 +329,7 @@ class ModalState(ModalValues):
             self.switch_tcp('')
 
     def rotary_of_vector(self) -> None:
-        """Set the rotary positions nearest to the last ones that give the tool axis of words."""
+        """Convert the tool axis of direction words to the nearest rotary positions."""
         if self.vector is None or not self.rotary_letters:
             return
         upright = np.abs(np.cross(self.vector, self.geometry.five_axis.pole)).max() < UPRIGHT

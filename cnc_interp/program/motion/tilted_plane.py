@@ -207,7 +207,7 @@ class TiltedPlane:
             mover.switch_tcp(tcp)
 
     def solution(self, choice: int, code: str, table: bool = False) -> FloatArray:
-        """Return rotary positions [rad]; a free axis stays, or with ``table`` aligns X."""
+        """Return rotary positions [rad]; at the pole an axis stays, or with ``table`` aligns X."""
         mover, (along, _, normal) = self._mover, self._mover.frames.turn.T
         if not mover.rotary_letters:
             self.demand(

@@ -18,7 +18,7 @@ from cnc_interp.program.text import scan
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
 _LONGEST_LINE = 1 << 16
-#: Characters that text does not contain; a few in old tapes are accepted.
+#: Characters that text does not contain, except for a few from old tapes in some programs.
 _CONTROL = bytes({*range(32)} - {*b'\t\n\v\f\r\x1a'})
 _BYTE_ORDER_MARK = b'\xef\xbb\xbf'
 
@@ -228,7 +228,7 @@ def subprogram_file(folder: Path, stem: str) -> Path | None:
 def called_files(
     path: Path, text: bytes, folders: Sequence[str] | None = None
 ) -> dict[str, bytes]:
-    """Return the files that a program may call: text by name; raises as ``open_named``."""
+    """Return the content of files that a program may call, by name; raises as ``open_named``."""
     found: dict[str, bytes] = {}
     waiting = [text]
     while waiting:

@@ -95,5 +95,5 @@ class KernelLocator:
         return _stamp(self._py_file)
 
     def get_disambiguator(self) -> str:
-        """Return a constant, because function names are unique in each file of this package."""
+        """Return a constant: no two functions in one file of this package have the same name."""
         return PACKAGE.name

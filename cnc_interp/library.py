@@ -86,7 +86,7 @@ def axis_path_from(
 
 
 class Kept:
-    """A sink of the planning chain that keeps everything in memory."""
+    """Stores everything that the planning chain outputs in memory."""
 
     def __init__(self) -> None:
         self.parts: list[PathSegments] = []

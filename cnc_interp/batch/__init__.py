@@ -1,1 +1,1 @@
-"""Many programs on many machines: each is planned and proven in its own process."""
+"""Plan and prove many programs on many machines, each in its own process."""

@@ -157,7 +157,7 @@ def _figures(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[tuple
 
 
 def _time_section(rows: list[dict[str, Any]]) -> str:
-    """Plot cycle times against lower bounds of the time; return '' if there are none."""
+    """Plot cycle times against their lower bounds; return '' if no row has a bound."""
     from plotly import graph_objects as go
 
     known = [row for row in rows if row['time_bound_s']]

@@ -19,7 +19,7 @@ from cnc_interp.batch.task import engine
 from cnc_interp.core import InterpError
 
 PATIENCE = 10  #: Time for the scheduler to answer [s].
-MOST_LOST_WORKERS = 20  #: A task is given up after it has lost this many workers.
+MOST_LOST_WORKERS = 20  #: A task is abandoned after the loss of this number of workers.
 AHEAD = 2  #: Number of tasks that each thread of a worker is assigned in advance.
 
 A = TypeVar('A')

@@ -22,9 +22,9 @@ PRELOADED = ('cnc_interp.batch.preload_tasks',)
 TILES_PRELOADED = ('cnc_interp.cam.preload_tiles',)
 PROCESS_NAME = 'cnc_batch'  #: Name of a working process in ``ps`` and ``top``.
 LOOK = 0.2  #: Time between checks whether all processes shall end [s].
-#: A call is given up after its process has been killed this often.
+#: A call is abandoned after its process has been killed this number of times.
 MOST_KILLS = 200
-#: Signals by which other programs end a process; any other signal means that it crashed.
+#: A process that ends by one of these signals was killed by another program; it did not crash.
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 
 A = TypeVar('A')

@@ -66,9 +66,9 @@ class Found:
     cycle_time: float | None = None  #: Time of the motion [s].
     #: Largest error: the deepest cut into a surface, or a plan's largest contour deviation [m].
     error: float | None = None
-    #: Share of the time in which an axis is at a limit, by axis and kind [-].
+    #: For each axis and kind of limit: share of the time in which the axis is at this limit [-].
     at_limit: dict[str, float] | None = None
-    fault: str = ''  #: Why there is no motion, else ''.
+    fault: str = ''  #: Why no motion was planned; '' if one was.
     #: The highest ridge between passes, if the command makes a surface [m].
     scallop: float | None = None
     collision: str = ''  #: Result of the clearance check, for a command with a scene.
@@ -235,7 +235,7 @@ def without_effect(found: dict[Point, Found], option: str) -> bool:
 
 
 def front(found: dict[Point, Found]) -> list[Point]:
-    """Return the Pareto front in time, scallop and error, the fastest point first."""
+    """Return the Pareto-optimal points in time, scallop and error, the fastest point first."""
     best: dict[Point, tuple[float, float, float]] = {}
     known = [
         ((one.cycle_time, one.scallop or 0.0, one.error or 0.0), point)

@@ -38,7 +38,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Task:
-    """The complete input of a worker, which opens no files of the user."""
+    """The complete input of a worker, so that it opens no files of the user."""
 
     program: str  #: Name of the program in the table: its path relative to the batch folder.
     #: File name and content of the program, then of each subprogram that it may call.
@@ -47,7 +47,7 @@ class Task:
     #: Every setting except ``setup`` as text, in the form of ``settings.options``.
     settings: tuple[tuple[str, str], ...]
     setup: str = ''  #: Content of the setup file, or ''.
-    plans: str = ''  #: Folder in which the plan files are kept, or ''.
+    plans: str = ''  #: Folder in which the plan files are stored, or ''.
     scene: str = ''  #: Hash of the files of the scene, or ''.
 
     @property
@@ -102,7 +102,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Cost:
-    """The computing cost of a row, which differs between runs of the same task."""
+    """The computing cost of a row; it differs each time the same task is carried out."""
 
     seconds: float = 0.0  #: Time from start to end of the worker's task [s].
     processor: float = 0.0  #: Processor time of all its processes [s].
@@ -136,7 +136,7 @@ def settings_of(settings: Settings) -> tuple[tuple[tuple[str, str], ...], str]:
 
 @cache
 def engine() -> str:
-    """Return a hash of the source text of this package, so that another version replans."""
+    """Return a hash of the source text of this package, so that another version plans again."""
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parents[1].rglob('*.py')):
         digest.update(source.read_bytes())

@@ -1,6 +1,6 @@
 """Guiding curves: sections of the guiding surface S_G = S + r_c n by guiding planes [TL2008, 3.2].
 
-The plane has the unit normal N, which points to the next pass. Along the curve the feed direction
+The unit normal N of the plane points to the next pass. Along the curve the feed direction
 is f = n x N / |n x N|. The direction t = f x n points to the next pass, too.
 """
 

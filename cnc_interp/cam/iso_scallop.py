@@ -58,7 +58,7 @@ ENDS = 3  #: Points at each end where the gap is unlimited, because the angles a
 
 
 class NoPassError(UnfitError):
-    """No posture leaves the wanted scallop: the plane distance does not fit the curvature."""
+    """No posture produces this scallop, because the plane distance does not fit the curvature."""
 
 
 class HeelError(UnfitError):
@@ -176,7 +176,7 @@ class PassRecursion:
     def closer_pass(
         self, before: Pass | None, plane: float, number: int, reason: UnfitError
     ) -> Pass:
-        """Make a pass whose strip is narrower at some places, on a plane that is close enough.
+        """Make a pass on a plane that is closer, because its strip is narrower in some places.
 
         Where the heel would enter the surface, the tilt is increased. Where no tilt within the
         limits fits, it stays at a limit. The strip still reaches the scallops of the previous
@@ -383,7 +383,7 @@ class IsoScallopOptions:
     #: A pass is restarted if the half width differs from d/2 by more than this share [-]. None
     #: selects the recursion of the paper, in which a pass that cannot be found is an error.
     stray: float | None = 0.25
-    #: Largest depth at which the bottom of the mill may enter the surface [m].
+    #: Largest depth to which the bottom of the mill may enter the surface [m].
     gouge: float = 1.0 * UM
     #: Length that is milled beyond the border at both ends of a pass [m].
     overrun: float = 0.5 * MM

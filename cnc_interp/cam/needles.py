@@ -1,4 +1,4 @@
-"""Needles and the motion that cuts them; the needles of equal patches agree bit for bit."""
+"""Needles and the motion that cuts them; needles do not depend on the division into tiles."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cnc_interp.core import (
 from cnc_interp.program.geometry.subdivide import great_circle, ragged
 
 PATCH = 64  #: Needles in each direction of a patch.
-GROUP = 64  #: Approximate number of needles in a group, which is tested as a whole.
+GROUP = 64  #: Approximate number of needles in a group; a group is tested as a whole.
 #: Largest number of needles at once, in a row or column of a grid, and in a grid.
 MOST_AT_ONCE, MOST_IN_LINE, MOST = 50_000_000, 1 << 24, 1 << 40
 
@@ -71,7 +71,7 @@ class Needles:
         return Needles(self.base[rows, columns], self.normal[rows, columns])
 
     def group_size(self) -> tuple[int, int]:
-        """Return rows and columns of a group, which is nearly square on the surface."""
+        """Return the rows and columns of a group that is nearly square on the surface."""
         steps = [
             float(np.median(norm(np.diff(self.base, axis=k)))) if n > 1 else 1.0
             for k, n in enumerate(self.shape)

@@ -32,7 +32,7 @@ class Angles:
     """Tilt and yaw along a pass: cubic splines through values, constant beyond them."""
 
     s: FloatArray  #: (n,): Arc lengths along the curve, in increasing order [m].
-    #: (n,): Angles there [rad].
+    #: (n,): Angles at these arc lengths [rad].
     tilt: FloatArray
     yaw: FloatArray
 
@@ -52,14 +52,13 @@ class Pass:
     curve: GuidingCurve  #: Path of the guided point K.
     angles: Angles  #: Tilt and yaw along it.
     s: FloatArray  #: (n,): Arc lengths along the curve for the scallop points [m].
-    postures: Postures  #: The postures there.
+    postures: Postures  #: The postures at these arc lengths.
     right: Scallops  #: Scallop points on the side of the next pass.
     #: (n,): Newton steps of stage 2; zero in passes that were not fitted to the previous pass.
     iterations: IntArray
     #: True for the first pass and for passes that do not continue the previous pass exactly.
     fresh: bool
-    #: (n,): True at the places that are milled: the strip lies over the surface, or in the
-    #: overrun.
+    #: (n,): True where the pass is milled: the strip lies over the surface, or in the overrun.
     kept: BoolArray
 
     def tool(self, s: FloatArray) -> Postures:
@@ -111,7 +110,7 @@ def constant_width(
     count: int,
     strict: bool = True,
 ) -> Angles:
-    """Find the tilts for which the scallop lies in a plane parallel to the guiding plane."""
+    """Find tilts such that the scallop lies in a plane parallel to the guiding plane."""
     height, half_width, overrun = strip
     s = np.linspace(0.0, curve.length, count)
     kept = kept_places(curve, s, np.full(count, half_width), overrun)
@@ -165,7 +164,7 @@ def constant_width(
     return angles
 
 
-SPACING = 0.2 * MM  #: Distance of the places at which the border is compared with the strip [m].
+SPACING = 0.2 * MM  #: Distance of points along the strip that are compared with the border [m].
 LINES = 9  #: Lines along the strip that are compared with the border, over its whole width.
 
 

@@ -14,7 +14,7 @@ from cnc_interp.settings.options import Settings
 
 #: Tolerance of the program as a share of the scallop height, or of the reserve [-].
 SMOOTHING, SMOOTHING_OF_RESERVE = 0.2, 0.5
-#: Units of options that keep their name; others have none.
+#: Units of the options whose fields have the same name; other options have no unit.
 UNITS = {'spacing': MM, 'margin': MM, 'overrun': MM, 'feed': MM_PER_MIN, 'scallop': UM}
 UNITS |= {'reserve': UM, 'chord': UM, 'direction': DEG}
 
@@ -24,7 +24,7 @@ class CutRequest:
     """A surface, the mill that cuts it, and where heights are measured."""
 
     surface: Path  #: Its file.
-    face: tuple[int, ...]  #: Faces of a STEP file; without one, its only face.
+    face: tuple[int, ...]  #: Numbers of faces of a STEP file; empty for its only face.
     turns: tuple[float, float, float]  #: Turns of the surface about X, Y and Z on the table [deg].
     direction: float  #: Angle of the feed direction to the u lines of the surface [rad].
     cutter: Cutter

@@ -143,7 +143,7 @@ Freedom = Literal['tilt', 'yaw']
 
 #: Further guesses of the free angle, if the first guess fails [rad].
 OTHER_GUESSES = (2.0 * DEG, 8.0 * DEG, 25.0 * DEG, 60.0 * DEG)
-#: Steps of the differences, and largest Newton steps, for place [m] and angle [rad].
+#: Steps of finite differences, and largest Newton steps, for arc length [m] and angle [rad].
 STEPS, LARGEST_STEP = (1e-8, 1e-7), (1.0 * MM, 0.3)
 
 
@@ -151,7 +151,7 @@ STEPS, LARGEST_STEP = (1e-8, 1e-7), (1.0 * MM, 0.3)
 class Fit:
     """Postures on the next guiding curve, one for each scallop point."""
 
-    s: FloatArray  #: (n,): Places on the guiding curve [m].
+    s: FloatArray  #: (n,): Arc lengths on the guiding curve [m].
     #: (n,): Angles [rad].
     tilt: FloatArray
     yaw: FloatArray
@@ -165,7 +165,7 @@ def resting(cutter: Cutter, frames: CurveFrames, tilt: Angle, yaw: Angle) -> Pos
 
 
 def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the residuals of Eq. 3.13 and 3.14 (times 1 mm), and which roots would be valid."""
+    """Return the residuals of Eq. 3.13 and 3.14 (times 1 mm), and whether a root here is valid."""
     cutter, u = postures.cutter, postures.axis
     v = scallops.position - postures.centre
     along = dot(v, u)

@@ -24,7 +24,7 @@ COARSEST = 3.2 * MM  #: Distance of the knots at first [m].
 
 
 class Strip(Protocol):
-    """A pass of any strategy: path of the point K; half width and postures at places ``s``."""
+    """A pass of any strategy: path of the point K, half widths and postures along it."""
 
     @property
     def curve(self) -> GuidingCurve: ...
@@ -140,7 +140,7 @@ class MachinedFace:
     surface: Surface  #: Its surface.
     across: FloatArray  #: (3,): Unit normal N of the guiding planes [-].
     paths: Strips  #: The passes.
-    parts: list[list[SplinePass]]  #: The milled parts of each pass that has any.
+    parts: list[list[SplinePass]]  #: The milled parts of passes, without empty passes.
     seconds: float  #: Computing time [s].
     notes: list[str] = field(default_factory=list)  #: Notes for the user.
 

@@ -41,7 +41,7 @@ ANY = 1.0  #: Preliminary size of a shape, until that of the face is known.
 class Part:
     #: Surfaces by the number of their face, in the order in which they are machined.
     surfaces: dict[int, Surface]
-    #: Points on all faces, including the machined ones; none for a single face.
+    #: Points on all faces of the part, including the machined faces; None for a single face.
     neighbours: Neighbours | None = None
 
 

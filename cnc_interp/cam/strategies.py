@@ -1,7 +1,7 @@
 """The strategies of `cam iso-scallop`: options, functions that make passes, and figures.
 
-Each strategy has its own module and a row here, from which command line, program, summary and page
-are derived.
+Each strategy has its own module, and a row here that defines its command line, program, summary
+and page.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from cnc_interp.machine_model.transform_port import Transform
 TURNS = range(1, 61)  #: Turns of the workpiece that are tried, in this order [deg].
 #: A pass is near the pole where the outer axis needs a larger share of its largest velocity [-].
 NEAR = 2.0
-#: A path is moved through the pole if it is nearer than this share of its tolerance [-].
+#: A path this near to the pole is moved through it; distance as a share of the tolerance [-].
 THROUGH = 0.5
 
 
@@ -32,7 +32,7 @@ class PoleTurn:
     distance: float  #: Smallest angle between tool axis and pole in these passes [rad].
     rate: float  #: Largest rate of the axis at the programmed feed over its largest velocity [-].
     about: str  #: X or Y, the workpiece axis to turn about; empty if no turn helps.
-    #: Smallest turn of the workpiece with which this axis can follow, in whole degrees [rad].
+    #: Smallest turn of the workpiece after which this axis can follow, in whole degrees [rad].
     angle: float
 
     @property

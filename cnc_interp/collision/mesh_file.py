@@ -98,7 +98,7 @@ def _step_triangles(file: Path, chord: float) -> FloatArray:
 
 
 def _closed(file: Path, corners: FloatArray) -> FloatArray:
-    """Return the triangles without degenerate ones; raise SceneError unless they close a solid."""
+    """Return all but degenerate triangles; raise SceneError unless they enclose a solid."""
     _, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     face = number.reshape(-1, 3)
     flat = (face == np.roll(face, 1, axis=1)).any(axis=1)

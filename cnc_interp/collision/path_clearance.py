@@ -42,12 +42,12 @@ TOOL_OUTPUTS = ('tool_number', TOOL)
 
 
 class Certificates(Table):
-    """Rows of ``collision.npz``: certificates that pieces keep apart, and hits."""
+    """Rows of ``collision.npz``: certificates that pieces keep their clearance, and hits."""
 
     begin: FloatArray = column()  #: Path length at the start of the interval, or of a hit [m].
     end: FloatArray = column()  #: Path length at its end [m].
     pair: IntArray = column(2)  #: Numbers of both pieces, A and B.
-    #: Unit vector from A to B along which they keep apart, in the frame of B's link [-].
+    #: Unit vector from A to B along which the clearance is proven, in the frame of B's link [-].
     normal: FloatArray = column(3)
     hit: BoolArray = column(default=False)  #: Whether both pieces hit at the start.
     #: For a hit: points of A and of B in the frames of their links, nearer than the clearance [m].
@@ -130,7 +130,7 @@ class PathClearance:
         Returns
         -------
         list of Hit
-            First contacts of each line and pair of bodies, in order.
+            The first contact of each pair of bodies on each line, in order.
         Certificates
             The proof for the rest of the part, and the hits.
 
@@ -307,7 +307,7 @@ class PathClearance:
     def _stretches(
         self, path: AxisPath, rapid: BoolArray
     ) -> Iterator[tuple[int, int, list[tuple[int, int]]]]:
-        """Yield ranges of cells [first, last), and the pairs of bodies that are checked there."""
+        """Yield ranges of cells [first, last), and the pairs of bodies to check in each range."""
         tool = self._tool_of(path.cell_block)
         starts = np.flatnonzero(np.diff(tool, prepend=tool[0] - 1))
         for first, last in zip(starts, np.append(starts[1:], len(tool)), strict=True):

@@ -1,7 +1,7 @@
-"""Make pieces of a mesh: a binary tree of boxes, whose leaves are the exact triangles.
+"""Make the pieces of a mesh: a binary tree of boxes with the exact triangles as leaves.
 
-Each box contains the triangles below it. So the tree never hides a contact; it only lets distant
-parts be cleared together.
+Each box contains the triangles below it. So the tree never hides a contact, but clears distant
+parts of the mesh with one test.
 """
 
 from __future__ import annotations

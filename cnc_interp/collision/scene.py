@@ -1,4 +1,4 @@
-"""A scene: bodies of machine, fixtures, stock and tools, and which pairs must keep apart."""
+"""A scene: bodies of machine, fixtures, stock and tools, and the pairs of them to check."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Scene:
         return next(self.clearances[key] for key in keys if key in self.clearances)
 
     def watched(self, chain: Chain, names: tuple[str, ...]) -> Iterator[tuple[int, int]]:
-        """Yield pairs of bodies that must keep apart: all that can move towards each other."""
+        """Yield the pairs of bodies to check: all pairs that can move towards each other."""
         links = [names.index(body.link) for body in self.bodies]
         for a, b in combinations(range(len(self.bodies)), 2):
             one, other = self.bodies[a], self.bodies[b]
@@ -103,7 +103,7 @@ class Placed:
     names: tuple[str, ...]  #: Names of the links.
     pieces: Pieces
     first: tuple[int, ...]  #: Number of each body's first piece, then the number of all pieces.
-    pairs: tuple[tuple[int, int], ...]  #: Bodies that must keep apart.
+    pairs: tuple[tuple[int, int], ...]  #: Pairs of bodies to check.
     clearance: FloatArray  #: (bodies, bodies): Smallest allowed distance [m].
 
     @staticmethod

@@ -97,7 +97,7 @@ def _content(path: Path) -> Any:
 
 NO_BODIES = Scene(Path(), (), {'default': DEFAULT_CLEARANCE}, frozenset(), (), 0)
 NO_TABLE = JobSetup()
-HOLDER = 'default'  #: Holder of a tool that does not name one.
+HOLDER = 'default'  #: Holder of a tool without a holder in the tool table.
 
 
 class _Reading:

@@ -1,4 +1,4 @@
-"""`cnc-interp batch` and `sweep`: many programs, machines or values of options, in one table."""
+"""`cnc-interp batch` and `sweep`: compare many programs, machines or option values in a table."""
 
 import argparse
 import math
@@ -156,7 +156,7 @@ def cluster_command(options: argparse.Namespace) -> int:
     return FINE
 
 
-FAULTS = 5  #: Most reasons why points do not move that are printed; the page has all.
+FAULTS = 5  #: Largest number of printed reasons why points have no motion; the page lists all.
 
 
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:

@@ -61,7 +61,7 @@ def estimate_command(options: argparse.Namespace) -> int:
 
 
 def describe(found: Estimate) -> str:
-    """Return the times as a table: a row for each tool, and below it its operations."""
+    """Return the times as a table: a row for each tool, followed by rows for its operations."""
     from cnc_interp.run.program_times import times_table
 
     within = f' +- {found.half_width:.2g} s (95 %)' if found.half_width else ''

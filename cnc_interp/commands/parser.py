@@ -20,7 +20,7 @@ FINE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 def program_file(text: str) -> Path:
-    """Return the path of a program; the examples in help texts are found from any folder."""
+    """Return the path of a program; examples in help texts are found from every folder."""
     file = Path(text)
     if file.parts[:1] != ('examples',) or file.exists():
         return file

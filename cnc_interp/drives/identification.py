@@ -25,13 +25,13 @@ from cnc_interp.machine_model.machine import Axis, Machine
 
 STILL = 1e-8  #: A setpoint step below this is rest [m, rad].
 SETTLING = 0.3  #: Time after the last motion of an axis that the fit still uses [s].
-FORGOTTEN = 2  #: Number of reversals after which the state before the recording no longer matters.
+FORGOTTEN = 2  #: Number of reversals until the motion before the recording no longer matters.
 MODES = (22.0, 32.0, 45.0, 65.0)  #: Frequencies at which the search for the mode begins [Hz].
 SEARCH, LAST = 6, 60  #: Most steps of the first searches, and of the last one.
 GAIN = 1e-4  #: The search ends if the sum of squares falls by less than this share [-].
 WHOLE = 0.98  #: Least share of positions at whole steps of a measuring system [-].
 CORRELATED = 0.1  #: Errors farther apart in time are uncorrelated, unless at the same place [s].
-SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
+SIGMAS = 1.96  #: Half of the two-sided 95 % interval, in standard deviations.
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,7 @@ class _Fit:
         jacobian: FloatArray,
         residual: FloatArray,
     ) -> dict[str, float]:
-        """Return half widths of 95 % intervals: SIGMAS times the spreads of the fitted numbers."""
+        """Return half widths of 95 % intervals: ``SIGMAS`` times the standard deviations."""
         place = self.answer(*self._model(values))[self._counts]
         lags = min(len(residual) - 1, round(CORRELATED / self._period))
         spreads = SIGMAS * spreads_of(jacobian, residual, place, lags)
@@ -344,7 +344,7 @@ SPEEDS = 7
 SPEED_HELD = 0.3  #: Time at a constant speed [s].
 #: Half periods of the chirp [s], their number, and the lower feed over the higher one.
 LONGEST_HALF, SHORTEST_HALF, HALVES, DIP = 0.12, 0.007, 50, 0.4
-ROOM = 0.4  #: Largest share of the travel to one side.
+ROOM = 0.4  #: Largest motion to one side, as a share of the travel.
 
 
 def excitation(machine: Machine) -> str:

@@ -3,7 +3,7 @@
 The table missed its delayed setpoint by e. By the loops of ``drive_model.py``, the velocity
 feed-forward that moves the table by e is ``f dg = kv e + (1 + tau B) e' + tau e''``, sent earlier
 by the dead time. The correction is smoothed by a zero-phase low pass below the flexible mode.
-Where the model error exceeds the remaining error, learning would make the error larger.
+If the model error exceeds the remaining error, learning would increase the error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cnc_interp.machine_model.transform_port import Transform
 
 #: Largest cutoff of the low pass [Hz], and its largest share of the mode's frequency [-].
 CUTOFF, SHARE = 40.0, 0.65
-FASTEST = 0.2  #: Largest cutoff over the sampling rate, which matters for long periods [-].
+FASTEST = 0.2  #: Largest cutoff as a share of the sampling rate; it matters for long periods [-].
 #: Time for which the last setpoint is held after the program, and the time at its end in which the
 #: learnt correction fades to zero [s].
 HELD, FADES = 0.3, 0.2

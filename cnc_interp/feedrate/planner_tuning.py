@@ -44,7 +44,7 @@ class KeptCells:
 
     ends: FloatArray  #: (k,): Path positions at the ends of the cells [m].
     scale: FloatArray  #: (k, 4, n_axes): Parts of the limits that these cells may use [-].
-    m: FloatArray  #: (k,): Coefficients of the older law, from which the solver begins [m2/s2].
+    m: FloatArray  #: (k,): Coefficients of the older law, the start values of the solver [m2/s2].
     tool: FloatArray | None = None  #: (2, k): Parts of the tool limit that they may use [-].
 
     def before(self, s: float) -> KeptCells:

@@ -9,9 +9,9 @@ the row
 
 The tool axis at flank height h has such rows, too. Because the tip is compared with the nearest
 place of the path, the axis is off by h (J_o - o_s (t J)) e, where t is the direction of the tip.
-Four normals make an octagon of the circle of radius E.
+With four normals, an octagon replaces the circle of radius E.
 
-These rows neglect transients after a jerk step, a reversal, or in a flexible mode. Therefore the
+These rows neglect transients after a jerk step or a reversal, and the flexible mode. Therefore the
 drives are simulated on each law. Where the error exceeds the limit, the limit of the rows is
 lowered and the stretch is solved again, as after any other excess between the nodes.
 """
@@ -39,7 +39,7 @@ FIRST_PART, LEAST_PART = 0.97, 0.2  #: Part of the limit for rows: at first, and
 RELAXED = 1e-3  #: Part by which the limit is relaxed for cells of an older plan [-].
 STEADY_PART = 0.8  #: Largest part of a row's limit that friction and backlash may take [-].
 AIM, EXCESS_FACTOR = 0.985, 1.3  #: Use that a correction aims at; factor on the excess.
-NEARBY = 0.02  #: An error is attributed to the motion within this time before and after it [s].
+NEARBY = 0.02  #: An error is attributed to cells within this time before and after it [s].
 RUN_UP = 0.6  #: Time before a start in motion for which the drives are simulated [s].
 STANDS = 0.5  #: Travel of the tip per path length below which only the tool axis moves [-].
 

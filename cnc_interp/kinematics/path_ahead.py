@@ -1,6 +1,6 @@
 """Segments that wait until their passages of singular poses are chosen.
 
-A place on them is given by path length [m], or by segment and parameter u.
+A point on them is given by its path length [m], or by its segment and parameter u.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cnc_interp.kinematics.axis_path import septic_coefficients
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import PathSegments
 
-SAME_PLACE = 1e-9  #: Places on the path that are nearer than this are equal [m].
+SAME_PLACE = 1e-9  #: Points on the path nearer to each other than this are equal [m].
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class PathAhead:
     height: float  #: Flank height [m].
     segments: PathSegments
     motion: IntArray  #: (n,): Motion of their rotary axes; see ``segment_axes.py``.
-    guides: FloatArray  #: (n, m): Guides of the segments, as far as decided.
+    guides: FloatArray  #: (n, m): Guides of the segments whose passages are chosen.
     bound: FloatArray  #: (n,): Bound of the deviation of the tool axis [rad].
     #: (n,): Position to which the outer axis turns at rest before a segment [rad], else NaN.
     turn_first: FloatArray

@@ -29,11 +29,11 @@ from cnc_interp.client.operator_client import STOPS, Answer
 Act = Callable[[], Awaitable[Answer]]
 Command = Callable[[Act], Awaitable[None]]
 
-#: Message if the page was cut off for a while and a key had no effect.
+#: Message if a key had no effect because the connection was interrupted.
 INTERRUPTED = 'the connection was interrupted'
 AGAIN = f'{INTERRUPTED}: look at the machine, then press again'
 VIEW_ONLY = 'view only: press "take over" first'  #: Message of a page that may not command.
-#: Message of a page that was opened with another token than that of its server.
+#: Message of a page that was opened with a wrong token.
 WRONG_TOKEN = (
     'the token in the address is not that of this server, which may have been started again: '
     'open the address that it printed at start'

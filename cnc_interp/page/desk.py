@@ -189,7 +189,7 @@ class Desk:
             asyncio.get_running_loop().call_soon(show)
 
     def watch(self) -> None:
-        """Detect a change of the machine, and adopt programs that other clients have started."""
+        """Detect a change of the machine; show programs that other clients have started."""
         if self.machine is None and self.nodes.machine:
             machine = Machine.load(self.nodes.machine)
             if self.nodes.scene:
@@ -396,7 +396,7 @@ class Desk:
         return Answer(True, 'chosen')
 
     def _see_end(self, result: RunProgram.Result) -> None:
-        """After a run, clear the start line; if the start was rejected, store the reason."""
+        """Clear the start line after a run; if its start was rejected, store the reason."""
         program = self.nodes.program
         begun = program is not None and program.program_id == result.program_id
         if begun or not self.start.line:

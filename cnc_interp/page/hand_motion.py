@@ -45,9 +45,9 @@ CROSS = 'XYZ'  #: Axes whose keys form a cross; those of Z are beside it.
 TOOL = 'tool'  #: Stands for motion along the tool, in place of the name of an axis.
 HOLD = 'hold'  #: Choice in place of a step size: the axis moves while its key is held.
 SPEED = 1  #: Index of the initial speed, from the slowest.
-AT_END = 1e-6  #: An axis this near to the end of its travel counts as being there [m, rad].
+AT_END = 1e-6  #: An axis this near to the end of its travel counts as being at the end [m, rad].
 FILLS = 0.7  #: Time for which a key that starts a rapid must be held [s].
-STALE = 1.2  #: A beat that names an older server beat was too long in transit [s].
+STALE = 1.2  #: A beat is too late if it names a server beat older than this [s].
 ALARMS = 'machine_node: jog'  #: Source of messages about motion by hand.
 #: Messages if a held key was released by something other than its user.
 EARLY = 'nothing moves yet: hold the key until it is filled'

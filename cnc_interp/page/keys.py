@@ -21,7 +21,7 @@ large = partial(key, look='unelevated')
 
 
 class HeldSlider(ui.slider):
-    """A slider that stays where the user puts it, without waiting for the server's answer."""
+    """A slider that stays where the user moves it, without waiting for the server's answer."""
 
     LOOPBACK = False
 
@@ -72,7 +72,7 @@ class OverrideSlider:
 
 
 class RapidKeys:
-    """The rapid override of a page: a key for each value; the active one is lit."""
+    """The rapid override of a page: a key for each value; the key of the active value is lit."""
 
     def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
         self._nodes, self._may_set = nodes, may_set

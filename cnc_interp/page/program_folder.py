@@ -1,4 +1,4 @@
-"""The folder of programs that pages list, open and save, and the programs opened last."""
+"""The folder of programs that pages list, open and save, and the recently opened programs."""
 
 import time
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class ProgramFolder:
         self._kept = state_folder() / 'recent_programs'
 
     def listed(self) -> list[Listed]:
-        """Return the programs of the folder and its subfolders, the last changed one first."""
+        """Return the programs of the folder and its subfolders, the latest change first."""
         found = []
         for path in self.folder.rglob('*'):
             hidden = any(part.startswith('.') for part in path.relative_to(self.folder).parts)

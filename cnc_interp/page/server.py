@@ -233,7 +233,7 @@ async def announce(host: str, port: int, token: str) -> None:
 
 
 def free_port(host: str, port: int) -> int:
-    """Return the port, or a free one for 0; reject one that is taken."""
+    """Return the port, or a free port if it is 0; reject a port that is in use."""
     if port not in PORTS:
         raise InterpError(f'--port {port}: ports are {PORTS.start} to {PORTS.stop - 1}')
     if not host:

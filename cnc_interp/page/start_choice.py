@@ -14,7 +14,7 @@ from cnc_interp.wire.run_messages import settings_from
 
 #: Number of points drawn on a leg with turning rotary axes, where the tip moves on a curve.
 POINTS = 25
-#: Parts of the approach, and the corner of ``way_inside`` at which each ends.
+#: Legs of the approach, and the index of the corner of ``way_inside`` at which each leg ends.
 LEGS = (('1 retract', 1), ('2 position', 3), ('3 plunge', 4))
 #: Reasons why a machine waits before the approach.
 WAITS = (MachineState.REASON_APPROACH, MachineState.REASON_AWAY)
@@ -27,7 +27,7 @@ MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 class StartChoice:
     line: int = 0  #: Line of the program; 0 for its top.
     which: int = 0  #: Number of the execution of that line, from 1; 0 if there is only one.
-    refused: str = ''  #: Why the start there was rejected; empty before the attempt.
+    refused: str = ''  #: Why the start at this line was rejected; empty if it was not.
 
     @property
     def text(self) -> str:

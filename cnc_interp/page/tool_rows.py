@@ -14,7 +14,7 @@ from cnc_interp.program.tool_files import csv_text, tbl_text, tools_of_text
 
 #: Titles of the columns of lengths.
 SIZES = {name: name.removesuffix('_radius').replace('_', ' ') for name in TOOL_SIZES}
-TOUCH = 'touch Z'  #: Mark of the field with the Z at which a tool touches.
+TOUCH = 'touch Z'  #: Mark of the field for the Z coordinate at which a tool touches.
 
 
 class ToolRows:

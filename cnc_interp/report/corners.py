@@ -36,8 +36,8 @@ class CurvesView:
     used: FloatArray  #: (2,): Largest bounds of all spans over their tolerances [-].
     #: (K, 2): The curve around the largest bound, in the plane of its largest extent [mm].
     curve: FloatArray
-    polyline: FloatArray  #: (M, 2): The programmed tips there, in the same plane [mm].
-    line: int  #: Line of the program there.
+    polyline: FloatArray  #: (M, 2): The programmed tips near this curve, in the same plane [mm].
+    line: int  #: Line of the program at the largest bound.
 
     @property
     def text(self) -> str:

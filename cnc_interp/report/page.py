@@ -1,4 +1,4 @@
-"""The HTML report of a plan: one page that opens from a file without a network."""
+"""The HTML report of a plan: one page that needs no server and no network."""
 
 from __future__ import annotations
 

@@ -244,7 +244,7 @@ class Plot:
     draw: Callable[[Series], Any]  #: Returns the figure.
 
 
-#: The figures of every report, in order. A new one is a function above and a row here.
+#: The figures of every report, in order. A new figure needs a function above and a row here.
 PLOTS = (
     Plot(
         'Tool path',

@@ -35,7 +35,7 @@ class Series:
     axis_use: FloatArray
     #: (3, K, n_axes): These limits at the positions of the axes [mm or deg, per s, s2, s3].
     axis_limits: FloatArray
-    #: (K,): Torque over the largest one [-], for axes that have one.
+    #: (K,): Torque over the largest torque [-], for axes with such a limit.
     torque_use: dict[int, FloatArray]
     largest_torque: dict[int, float]  #: Largest torques, by axis number [N or Nm].
     #: Names, and ``mm`` or ``deg``.
@@ -44,7 +44,7 @@ class Series:
     #: (K,): Deviation of the tip and of the point at flank height [um].
     contour_error: FloatArray
     orientation_error: FloatArray
-    #: (K,): Tolerances there [um].
+    #: (K,): Tolerances for these deviations [um].
     contour_tolerance: FloatArray
     orientation_tolerance: FloatArray
     line: IntArray  #: (K,): Line of the part program.

@@ -11,7 +11,7 @@ from cnc_interp.core import MM, FloatArray
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report import html
 
-STEPS, SHORTEST = 400, 0.05  #: Most intervals in which rates are averaged, the shortest one [s].
+STEPS, SHORTEST = 400, 0.05  #: Most intervals for mean rates; shortest interval [s].
 
 
 def removal_rates(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:

@@ -23,8 +23,8 @@ from cnc_interp.smoothing.emission import Emission
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Choice, StopChoice
 
-LEFT_OVER = 0.05  #: A line shorter than this share of its block is given to the corners [-].
-#: The same with the paper's corners, which are enlarged by rounding errors only [-].
+LEFT_OVER = 0.05  #: If a line is shorter than this share of its block, corners cover it [-].
+#: The same for the paper's corners: they cover rounding errors only [-].
 ROUNDING = 1e-9
 
 
@@ -131,7 +131,7 @@ class LookAhead:
         return ratios_at(corners, self._settings.flank_height, self._machine.axis_rates)
 
     def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
-        """Enlarge corners to cover the rest of a line that is too short to keep."""
+        """Enlarge corners to cover the rest of a line if it is too short for a segment."""
         used = outer[:known, 1] + outer[1 : known + 1, 0]
         length = legs.length[:known]
         rest = length - used

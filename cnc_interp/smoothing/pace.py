@@ -44,10 +44,10 @@ def rise_root(v: FloatArray, length: FloatArray, jerk: float) -> FloatArray:
 def mean_turns(length: FloatArray, turn: FloatArray, stop: BoolArray) -> FloatArray:
     """Return the turns of blocks, averaged over the path near each; all (n,) [m, rad].
 
-    In records, a control slows down half as much for ten chords at the end of a slot as for the
-    same chords in a full circle, because it judges the path over some length, not vertex by
-    vertex. This length ends where the tool rests; ``stop`` (n,): whether it rests at the end of
-    the block.
+    In records, ten chords at the end of a slot slow a control down less (by half) than the same
+    chords in a full circle, because it judges the path over some length, not vertex by vertex.
+    This length ends where the tool rests; ``stop`` (n,): whether the tool rests at the end of a
+    block.
     """
     bent, way, n = turn.copy(), length.copy(), len(length)
     lengths, turns = (np.pad(one, NEAR) for one in (length, turn))
@@ -66,7 +66,7 @@ def mean_turns(length: FloatArray, turn: FloatArray, stop: BoolArray) -> FloatAr
 
 
 class Pacer:
-    """Give blocks the feed that the control reaches; the last rows wait for the next ones."""
+    """Set the feed of blocks to what the control reaches; the last rows wait for the next rows."""
 
     def __init__(self, pace: BlockPace, settings: Settings):
         self._pace, self._longest = pace, settings.longest_block

@@ -1,4 +1,4 @@
-"""Blocks to smooth segments: linear blocks through the look-ahead, native splines span by span.
+"""Convert blocks to smooth segments: linear blocks in the look-ahead, native splines by spans.
 
 Lines and splines meet at the programmed poses. The look-ahead sees a stop at such a pose. If the
 spline continues the line smoothly, this stop is removed from the segments afterwards.
@@ -122,7 +122,7 @@ class PathSmoother:
         return found
 
     def _released(self, flows: bool) -> PathSegments | None:
-        """Return the waiting lines; the last one loses its stop if the path continues."""
+        """Return the waiting lines; if the path continues smoothly, the last line has no stop."""
         lines, self._waiting = self._waiting, None
         if lines is None or not len(lines) or not flows:
             return lines

@@ -12,14 +12,13 @@ whole orientation tolerance, and the outer rotary axis follows each of its waves
 
 No simple measure of the path predicts how long the axes take in these cases, and smoothing plans
 no motion. Therefore it proposes two sets of alternatives for the next blocks, and a stage that can
-plan them chooses (``Choice``). At a corner the alternatives are with and without a stop there; the
-corners after it, which may need a stop too, are rounded or all are stops. A run is a curve, or
-lines with rounded corners; if one of these corners is doubtful, also lines with a stop at every
-corner.
+plan them chooses (``Choice``). At a corner, the alternatives have a stop or none; with each, the
+corners after it are either all rounded or all stops. A run is a curve, or lines with rounded
+corners; if one of these corners is doubtful, also lines with a stop at every corner.
 
-An alternative begins and ends at rest: at the last stop, or three lines before the corner, and at
-the next stop, or six lines after it. Its lines, and the choice, do not depend on how the blocks
-arrive.
+An alternative begins and ends at rest. It begins at the last stop, at most three lines before the
+corner, and ends at the next stop, at most six lines after it. Its lines, and the choice, do not
+depend on how the blocks arrive.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,7 +51,7 @@ class Way:
     curves: bool = False  #: Whether runs of short blocks become curves.
 
 
-#: The port: returns whether the best of the first ways is faster than the best of the others.
+#: Port: returns whether the fastest of the first alternatives is faster than all of the second.
 Choice = Callable[[Sequence[Way], Sequence[Way]], bool]
 
 
@@ -145,7 +144,7 @@ class StopChoice:
         return len(rows)
 
     def keep(self, rows: Rows, vertex: IntArray, last: int) -> None:
-        """Record that the rows up to ``last`` are decided; the next rows begin there."""
+        """Record that the rows up to ``last`` are final; the next call starts at row ``last``."""
         if self._choice is None:
             return
         blocks, plain = self._decided(rows[: last + 1], vertex)

@@ -65,7 +65,7 @@ class Upright:
     def counted(self, segments: PathSegments) -> PathSegments:
         """Return segments whose deviation includes the moves of tool axes onto the pole.
 
-        A span of a curve may reach a little beyond the blocks that it names.
+        A span of a curve may extend a little beyond the blocks that it refers to.
         """
         if not self._used or not len(segments):
             return segments

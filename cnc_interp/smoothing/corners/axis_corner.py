@@ -14,8 +14,9 @@ along v (at ``b - a`` along w) by ``min(a, b) (v + w)``, at most ``L1 / 4 (v + w
 number of coordinates). A point on the tool moves in W by at most
 ``|dx| + |dw| + r_1 |da| + r_2 |db|`` with the largest distances r_i from the rotary axes on the
 corner. Each r_i changes at most as fast as the point moves relative to its axis. So the bounds
-hold for every point of the curve, for tip, top point and tool axis at one programmed place. The
-curve also passes the vertex itself, and with it every rotary word, within the tolerances.
+hold for every point of the curve, with tip, top point and tool axis compared with the same point
+of the program. The curve also passes the vertex itself, and with it every rotary word, within the
+tolerances.
 """
 
 from __future__ import annotations
@@ -152,7 +153,7 @@ class AxisCorners:
 
     @property
     def bend(self) -> FloatArray:
-        """Sizes of v + w, shape (n,) [-]; 0 where the path goes straight on."""
+        """Sizes of v + w, shape (n,) [-]; 0 where the path continues straight."""
         return size_of(self.legs.sum(axis=1), self.height)
 
     def gains(self, outer: FloatArray, way: FloatArray) -> FloatArray:

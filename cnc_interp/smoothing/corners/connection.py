@@ -130,7 +130,7 @@ class End:
         )
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
-        """Return f' and f'' for which D' and D'' along the top curve are those of the line."""
+        """Return f' and f'' that make D' and D'' along the top curve those of the line."""
         rho = np.full((len(self.axis), 1), self.height)
         return matching_slopes(self.b, self.c, self.axis, self.o, rho)[:2]
 
@@ -170,7 +170,7 @@ def lacking(
 def matching_slopes(
     bottom: FloatArray, top: FloatArray, axis: FloatArray, turning: FloatArray, rho: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of f for which the tool axis continues along the top curve.
+    """Return the derivatives of f with which the tool axis continues smoothly from the line.
 
     D = C_top(f(u)) - C_bottom(u) must be rho o(u) in each order [B2013, B.3-B.5]. The highest
     derivative of f acts along C_top' only. So this derivative follows from the component e of

@@ -14,7 +14,7 @@ from cnc_interp.smoothing.corners.corner_curve import Corners
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL, Rows
 from cnc_interp.smoothing.orientation import rotations_between, shares_at_corners
 
-#: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
+#: The path passes a vertex if directions [-], and axis rates times h, differ by less than this.
 STRAIGHT = 1e-9
 #: Above this rotation per travel of the tip, the tip counts as resting, and the tool stops at both
 #: ends of the block [rad/m]. Rotary axes at 20 rev/min move such a tip at 0.1 mm/s. A rounded

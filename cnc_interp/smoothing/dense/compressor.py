@@ -27,7 +27,7 @@ from cnc_interp.smoothing.dense.skeleton import CornerSearch, Skeleton, Skeleton
 from cnc_interp.smoothing.dense.thinning import FEWEST_BLOCKS, LONG, SHORT, run_end
 from cnc_interp.smoothing.stop_choice import MOST_BLOCKS, Choice, may_be_slow, ways_of_run
 
-KEPT_VERTICES = 512  #: Number of vertices that are kept before the last one sent.
+KEPT_VERTICES = 512  #: Number of vertices stored before the last vertex that was output.
 #: Shortest distance between the committed curve and the end of its run, in tolerances.
 SHORTEST_REST = 40.0
 
@@ -309,7 +309,8 @@ class Made(NamedTuple):
     used: FloatArray
     feed: float
     stop: bool
-    #: Whether a curve joins the start of the row smoothly; whether one joins the end of a line.
+    #: Whether a curve joins the start of the row smoothly; whether a curve joins the end of a
+    #: line.
     smooth: bool
     leads: bool
     curve: Window | None = None

@@ -36,8 +36,8 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
 def settled(blocks: Blocks, before: Blocks, height: float) -> Blocks:
     """Move the end of each block without motion to the end of the block before it.
 
-    So the path continues from there without a step. Small steps may add up to a motion, so
-    distances are measured from the last end that moved. The next block takes the smaller
+    So the next block continues from that end without a step. Small steps may add up to a motion,
+    so distances are measured from the last end that moved. The next block takes the smaller
     tolerances of both, because their corners have become one. ``before`` has the last two rows of
     the previous call; the returned rows begin with them.
     """

@@ -35,10 +35,10 @@ class Skeleton:
     feed: FloatArray  #: (n,): Programmed speed of the tip on the segment [m/s].
     turning: BoolArray  #: (n,): Whether the tool turns on the segment.
     kind: IntArray  #: (n,): Kind of the segment: SHORT, LONG or FIXED.
-    #: (n,): Whether the tool rests at the vertex, and whether the program ends every curve there.
+    #: (n,): Whether the tool rests at the vertex, and whether the program ends every curve at it.
     stop: BoolArray
     closed: BoolArray
-    corner: BoolArray  #: (n,): Whether a corner ends curves there.
+    corner: BoolArray  #: (n,): Whether a corner at the vertex ends curves.
     #: (n,): Curve parameter: distance along tip and top, root mean square of both [m].
     u: FloatArray
     turn: FloatArray  #: (n,): Turn of the path at the vertex, if already known [rad].
@@ -74,7 +74,7 @@ class Skeleton:
 
     @cached_property
     def vertices(self) -> Vertices:
-        """Return the arrays that kernels read; later changes of marks appear there, too."""
+        """Return the arrays that kernels read; they include later changes of marks."""
         pose = np.hstack([self.blocks.tip, self.blocks.axis])
         return Vertices(
             pose,

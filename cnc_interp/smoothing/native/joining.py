@@ -35,7 +35,7 @@ MOST_HALVINGS = 12  #: Largest number of times that a span is halved for a join.
 
 @dataclass(frozen=True)
 class Jets:
-    """Tip and tool axis at n places, with their derivatives by the arc length of the tip."""
+    """Tip and tool axis at n points, with their derivatives by the arc length of the tip."""
 
     tip: FloatArray  #: (4, n, 3): p, p_s, p_ss, p_sss [m, -, 1/m, 1/m2].
     axis: FloatArray  #: (4, n, 3): o, o_s, o_ss, o_sss [-, 1/m, 1/m2, 1/m3].

@@ -59,7 +59,7 @@ class SplineRun:
         return segments
 
     def finish(self, after: Jets | None) -> PathSegments | None:
-        """Return the rest of the curve; without jets of the path after it, the tool rests there.
+        """Return the rest of the curve; without jets of a path after it, it ends with a stop.
 
         Raises BlockError if it has fewer than four control points or is not clamped at its end.
         """
@@ -140,7 +140,7 @@ class SplineRun:
     def _check_spans(
         self, bottom: FloatArray, top: FloatArray, rows: Blocks, own: IntArray
     ) -> None:
-        """Raise BlockError for spans on which path length or tool axis is undefined."""
+        """Raise BlockError for a span on which the path length or the tool axis is undefined."""
         steps = np.diff(bottom, axis=1)
         size = norm(steps).sum(axis=1)
         slowest = np.full(len(bottom), np.inf)
@@ -225,7 +225,7 @@ class SplineRun:
     def _segments(
         self, pieces: list[tuple[Piece, bool]], end: bool = False
     ) -> PathSegments | None:
-        """Convert pieces to segments; with ``end``, the last one ends in the last row."""
+        """Convert pieces to segments; with ``end``, the last segment ends in the last row."""
         if not pieces:
             return None
         rows, n = self._rows_known(), len(pieces)

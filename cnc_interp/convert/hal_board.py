@@ -28,7 +28,7 @@ class Board:
     settings: list[str] = field(default_factory=list)
 
     def add(self, module: str, name: str, inputs: Mapping[str, str | float] | None = None) -> str:
-        """Add an instance of a module, whose inputs are numbers or pins; return its output pin."""
+        """Add an instance of a module; inputs are numbers or pins. Return its output pin."""
         self.modules.setdefault(module, []).append(name)
         self.functions.append(name)
         for pin, value in (inputs or {}).items():
@@ -69,7 +69,7 @@ class Row:
 
 
 def rows_of(text: str) -> list[Row]:
-    """Return the lines of a HAL file; those that connect pins as ``net SIGNAL PIN ...``."""
+    """Return the lines of a HAL file; lines that connect pins become ``net SIGNAL PIN ...``."""
     found = []
     for line in text.replace('\\\n', ' ').splitlines():
         words = line.partition('#')[0].split()

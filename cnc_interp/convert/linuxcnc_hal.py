@@ -134,7 +134,7 @@ class _Conversion:
         self.ours = {each for pins in self.place.values() for each in pins.split()}
 
     def _power(self, faults: list[str], signals: Signals) -> None:
-        """Switch power on if requested, without fault, stream filled, emergency stop released.
+        """Connect the power output: on if requested, no fault, stream not empty, E-stop released.
 
         Without power, gated outputs are off until cnc_interp requests power again.
         """

@@ -23,7 +23,7 @@ REFERENCE_POINTS = ('G28', 'G30')
 ROTATION = 'R'
 Position = Mapping[str, float]
 
-#: Longest remark of a tool [characters], and its largest number.
+#: Longest remark of a tool [characters], and largest tool number.
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
 #: Entries of a tool in a setup file: sizes [mm], pocket, and texts.
 TOOL_SIZES = ('length', 'radius', 'corner_radius', 'length_wear', 'radius_wear', 'flute')

@@ -52,7 +52,7 @@ class Motion:
     links: Links
 
     def spans_where(self, holds: BoolArray) -> Spans:
-        """Return the intervals of path length [m] in which ``holds`` (N - 1,) is true, by cell."""
+        """Return the intervals of path length [m] of cells where ``holds``, (N - 1,), is true."""
         edges = np.flatnonzero(np.diff(holds.astype(np.int8), prepend=0, append=0))
         s = self.cells.s
         return [(float(s[a]), float(s[b])) for a, b in edges.reshape(-1, 2)]

@@ -295,7 +295,7 @@ class RowsByLine:
                 self.fault(move, f'has F {found} {worst / MM_PER_MIN:.6g}')
 
     def unsure_time(self, move: ReadMove, wanted: float, rows: IntArray) -> float:
-        """Return the uncertainty of the time of a motion that the reader's digits cause [s]."""
+        """Return the uncertainty of a motion's time due to rounded digits of the reader [s]."""
         unsure = move.unsure * wanted
         if np.isnan(move.duration):
             unsure += 2.0 * SAME_PLACE / move.feed
@@ -306,8 +306,8 @@ class RowsByLine:
     def lasts(self, move: ReadMove, before: ReadMove, rows: IntArray) -> list[float]:
         """Return the possible durations of a motion [s]: as written, or from its feed.
 
-        The feed is that of X Y Z or the tip; if these rest, of the extra axes, else of rotary
-        axes.
+        The feed is that of X Y Z or the tip; if these do not move, that of the extra axes, else of
+        the rotary axes.
         """
         if np.isfinite(move.duration) or np.isnan(move.feed):
             return [move.duration]

@@ -170,10 +170,10 @@ class VertexSearch:
         tolerance: FloatArray,
         unit: FloatArray | None = None,
     ) -> tuple[FloatArray, IntArray]:
-        """Return the distance of each vertex from the motion, and the sample before that point.
+        """Return how far each vertex is from the motion, and the sample before the nearest point.
 
         The samples of the rows at a vertex are searched first, then more if they miss it.
-        ``unit`` (M, 3): divisors of the coordinates, after which the tolerance is 1.
+        ``unit`` (M, 3): tolerance of each coordinate, if they differ.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))

@@ -68,7 +68,7 @@ class OwnChain:
     def spins(self, q: FloatArray) -> FloatArray:
         """Return the spin of the tool about its axis, (n,) [rad].
 
-        Its zero is X of the part after the least turn of Z of the part to the tool axis.
+        Its zero is X of the part after the least rotation from Z of the part to the tool axis.
         """
         pose = self.poses(q)
         side, axis = pose[:, :3, 0], -pose[:, :3, 2]

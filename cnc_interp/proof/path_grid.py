@@ -226,7 +226,7 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
 
 
 def _path_jerk(ledger: Ledger, first: int, last: int) -> FloatArray:
-    """Return the larger path jerk that the axes allow on both sides of grid points [m/s3]."""
+    """Return the larger of the path jerks that axes allow before and after grid points [m/s3]."""
     path, cells = ledger.plan.path, len(ledger.plan.path['s']) - 1
     found = np.zeros(last - first)
     for name, shift in (('cell_left', 0), ('cell_right', -1)):

@@ -27,7 +27,7 @@ class Klartext:
         self.shift, self.scale, self.about = np.zeros(3), np.ones(3), np.zeros(3)
 
     def lines(self, text: str, here: dict[str, float]) -> list[str]:
-        """Return lines of G-code; ``here``: current coordinates in units of the program."""
+        """Return a line as lines of G-code; ``here``: current coordinates in program units."""
         text = re.sub(r'^\s*\d+(?!\S)|;.*', '', text).strip()
         if not text:
             return []

@@ -344,7 +344,7 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
 def with_beside(
     proof: Proof, machine: Machine, period: float, stretches: Sequence[FloatArray]
 ) -> Proof:
-    """Add limits and travel of motion outside the program, ``stretches`` (K, n_axes)."""
+    """Add limits and travel of motion outside the program to a proof; ``stretches``: (K, n)."""
     if not stretches:
         return proof
     largest, faults = 0.0, []

@@ -42,7 +42,7 @@ NOTHING_BEFORE = Preceding()
 
 
 class Moves:
-    """Motions between consecutive targets, which can be evaluated at any parameter.
+    """Motions between consecutive targets; their poses can be computed at any parameter in [0, 1].
 
     ``interpolation`` (n,): as in ``Blocks``; in the last ``undecided`` motions it depends on later
     motions. ``beside`` (n,): whether extra axes move and rotary axes do not. ``rests`` (n,):
@@ -258,7 +258,7 @@ class Moves:
         return np.asarray(point)
 
     def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses; with linear rotary axes, the moving point and a constant axis."""
+        """Return tips and axes; if rotary axes move linearly, moving points and constant axes."""
         tip, axis = self.poses(row, u)
         linear = self.interpolation[row] != POSES
         if linear.any():

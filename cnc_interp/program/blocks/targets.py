@@ -44,7 +44,7 @@ MOST_CHANGES = 1000  #: Largest number of changes of the setup that are kept ind
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
 _ANTIPARALLEL = 1e-4  # [rad]
 _MOST_TURN = 500.0 * 360.0 * DEG
-#: Largest turn of the rotary axes in a piece with linear rotary axes and a straight tip [rad].
+#: Largest turn of the rotary axes in a piece in which they and the tip move linearly [rad].
 _LONGEST_TURN = 8.0 * 360.0 * DEG
 
 

@@ -164,7 +164,7 @@ class Corner:
         frame: FloatArray,
         fault: Fault,
     ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:
-        """Return where the two lines end, and the arc between them [m]; None: no corner for RNDM.
+        """Return where both lines end and the arc between [m]; None if RNDM finds no corner.
 
         The columns of ``frame`` (3, 3) are the two axes of the plane and its normal.
         """

@@ -344,7 +344,7 @@ class CutterRadius:
         return ready
 
     def _to(self, end: complex, row: FloatArray) -> list[FloatArray]:
-        """End the last element at a point; return its row, then rows along the normal."""
+        """End the last element at a point; return its row, and those of moves along the normal."""
         assert self._last is not None
         part = self._last.between(self._last.start, end)
         if part is None:

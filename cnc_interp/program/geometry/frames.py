@@ -113,7 +113,7 @@ class Frames:
             'G51': bool(np.any(self.scale != 1.0)),
         }
         scaled = self.factor.tobytes(), self._moved.tobytes()
-        #: Changes whenever other coordinates take effect.
+        #: A value that changes whenever other coordinates take effect.
         self.counts = (
             added.tobytes(),
             self.turn.tobytes(),

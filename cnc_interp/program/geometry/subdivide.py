@@ -46,9 +46,9 @@ def piece_counts(
     allowed_top: FloatArray,
     height: float,
 ) -> IntArray:
-    """Return how many equal pieces of each block, (n,), stay near chords and great circles.
+    """Return the number of equal pieces per block, (n,), so that chords and great circles fit.
 
-    ``poses``: from block indices and parameters in [0, 1], (m,), to tips [m] and tool axes;
+    ``poses`` maps block indices and parameters in [0, 1], (m,), to tips [m] and tool axes;
     ``turned`` (n,): turn of the rotary axes or of the arc [rad]; ``allowed_tip``, ``allowed_top``
     (n,): largest distance from the chord [m]. A count above ``MOST_PIECES`` is a lower bound.
     """

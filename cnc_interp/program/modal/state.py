@@ -112,7 +112,7 @@ class ModalState(ModalValues):
         self.dialect = PLAIN
         self.unit = INCH if settings.units == 'inch' else MM
         self.centre_absolute = settings.arc_centres == 'absolute'
-        #: -1 if I J K lead from the centre of an arc to its start.
+        #: -1 if I J K lead from the centre of an arc to its start, else 1.
         self.centre_sense = -1.0 if settings.arc_centres == 'reversed' else 1.0
         #: Whether the meaning of I J K is still unknown, so that the first arc may determine it;
         #: that arc is rejected after all unless two more arcs agree.

@@ -126,7 +126,7 @@ class Mover(ArcTargets):
         self.go(self.frames.point(place[:3]), rotary, feed_given=feed_given, rapid=rapid)
 
     def draw_back(self, distance: float | None, feed: float) -> None:
-        """Retract by ``distance`` [m], or to the end of travel; a rapid if ``feed`` is 0."""
+        """Retract the tool by ``distance`` [m] or to the end of travel; ``feed`` 0: a rapid."""
         self.rotary_of_vector()
         tips = np.stack([self.tool_axis, np.zeros(3), self.point])
         top, tip, q = self.geometry.linear(tips, np.tile(np.nan_to_num(self.rotary), (3, 1)))

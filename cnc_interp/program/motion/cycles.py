@@ -1,4 +1,4 @@
-"""Holes of the cycles of all dialects, and the canned cycles of G-code and Siemens.
+"""Holes made by the cycles of all dialects, and the canned cycles of G-code and Siemens.
 
 Z, R, Q and P of G73 to G89 stay valid for the next holes. The first arguments of Siemens cycles
 are RTP, RFP, SDIS, DP (absolute) and DPR (below RFP). With MCALL a cycle runs after every motion

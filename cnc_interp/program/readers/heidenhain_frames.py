@@ -37,7 +37,7 @@ class HeidenhainFrames:
         self._waits, self.found = False, mover.rotary
 
     def shift(self, values: Mapping[str, float]) -> None:
-        """Process cycle 7; a value after I is added to the shift, and zeros end the shift."""
+        """Process cycle 7; I and a letter (IX) add to the shift, and zeros end the shift."""
         if self._turn is not None and any(values.values()) and (self._turn != np.eye(3)).any():
             raise self._fault(
                 'a datum shift in a tilted plane; write PLANE RESET first', 'CYCL DEF 7'

@@ -404,7 +404,7 @@ DIGITS = 9  #: Decimals of offsets that are written to a file [mm].
 def placed_machine(
     name: str, shift: tuple[float, float, float], turn: float, file: Path
 ) -> Machine:
-    """Write and read a copy of a machine file; its workpiece is shifted, and turned about its zero.
+    """Write and read a copy of a machine file, its workpiece shifted and turned about its zero.
 
     If the C axis carries the workpiece, the same program runs on a workpiece that is turned by an
     angle w:

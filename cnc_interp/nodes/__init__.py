@@ -1,1 +1,1 @@
-"""ROS 2 nodes: thin layers around the rooms without ROS."""
+"""ROS 2 nodes: thin layers around packages that do not use ROS."""

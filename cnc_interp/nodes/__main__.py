@@ -1,4 +1,4 @@
-"""A node as a process of its own: ``python -m cnc_interp.nodes NODE --ros-args ...``."""
+"""Run one node in its own process: ``python -m cnc_interp.nodes NODE --ros-args ...``."""
 
 import sys
 from importlib import import_module

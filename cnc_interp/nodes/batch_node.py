@@ -1,4 +1,4 @@
-"""The batch node: action ``plan_batch``, many programs planned beside a running machine."""
+"""The batch node: action ``plan_batch`` plans many programs while a machine may be running."""
 
 import re
 import threading
@@ -24,12 +24,12 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import end_goal, every, run_node
 from cnc_interp.settings.options import with_texts
 
-FEEDBACK = 0.2  #: Time between feedbacks [s].
+FEEDBACK = 0.2  #: Time between two feedback messages of the action [s].
 NAME = re.compile(r'\w[\w. -]{0,99}')  #: Allowed names of batch folders.
 
 
 class BatchNode(Node):
-    """Carries out one batch at a time, in processes of the lowest priority."""
+    """Plans one batch at a time, in processes of the lowest priority."""
 
     def __init__(self) -> None:
         super().__init__('batch_node')

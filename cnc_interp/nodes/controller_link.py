@@ -21,7 +21,7 @@ SECOND = 10**9
 
 
 def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTrajectory:
-    """Convert a trajectory to its message; with accelerations, controllers use quintics."""
+    """Return a trajectory as a message with accelerations; controllers then use quintics."""
     message = JointTrajectory(joint_names=list(joints))
     message.header.stamp = Time(**_parts(trajectory.start))
     rows = trajectory.rows
@@ -38,7 +38,7 @@ def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTraj
 
 
 def joint_report(message: JointState, joints: Sequence[str]) -> JointReport | None:
-    """Read the axes from joint states in any order; None if one is missing or not a number."""
+    """Return position and velocity of ``joints``; None if a position is missing or not finite."""
     places = {name: k for k, name in enumerate(message.name)}
     chosen = [places.get(name, -1) for name in joints]
     if min(chosen) < 0 or max(chosen) >= len(message.position):
@@ -57,11 +57,11 @@ def _parts(nanoseconds: int) -> dict[str, Any]:
     return {'sec': nanoseconds // SECOND, 'nanosec': nanoseconds % SECOND}
 
 
-SPIN_TIMEOUT = 0.1  #: Time between checks of the thread whether it shall end [s].
+SPIN_TIMEOUT = 0.1  #: Time after which the thread checks again whether it must end [s].
 
 
 class ControllerLink:
-    """The topics of the controller, on a node that listens while the machine node waits."""
+    """The topics of the controller, on a node of their own: it runs while machine_node waits."""
 
     def __init__(self, namespace: str, values: Mapping[str, Any], joints: Sequence[str]):
         self._joints, controller = joints, values['controller']

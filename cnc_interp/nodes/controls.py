@@ -1,4 +1,4 @@
-"""The operator's services and topics of the machine node, and ``optional_stop``."""
+"""Services and topics of the machine node for the operator, and service ``optional_stop``."""
 
 import math
 import time
@@ -29,11 +29,11 @@ from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
 
-TOLD = 10.0  #: Time for which the page shows that a motion by hand was rejected or stopped [s].
+TOLD = 10.0  #: For this time, the page shows why a motion by hand was rejected or stopped [s].
 
 
 class Controls:
-    """Commands that act on the playback at once, without other nodes; jogging and homing."""
+    """Commands that act at once and need no other node; jogging and homing are among them."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class Controls:
         self._told_until = 0.0  # end of the report about a rejected motion [s]
 
     def _contact(self, contact: Foresight, q: FloatArray) -> Any:
-        """Find contacts ahead, once the positions of the axes are known."""
+        """Return the predicted contact at positions ``q``; None while axes are not homed."""
         return None if self.homing.must_home else contact(q)
 
     def _press(self, act: Callable[[], None], _request: Any, _response: Any) -> str:
@@ -149,7 +149,7 @@ class Controls:
         return 'switched'
 
     def _take_inputs(self, message: MachineSignals) -> None:
-        """Use inputs that need no wires: simulated switches, or those of a controller."""
+        """Set inputs from a message: simulated switches, or those of a trajectory controller."""
         self._wake()
         signals, problem = self._playback.axes.machine.signals, ''
         known = {signal.name: k for k, signal in enumerate(signals.inputs)}
@@ -190,7 +190,7 @@ def _pairs(axes: list[str], values: Any) -> dict[str, float]:
 
 
 class Overrides:
-    """The overrides; only this node subscribes, as publishers may discover one node first."""
+    """The overrides. Only machine_node subscribes, so that all nodes use the same values."""
 
     def __init__(
         self, node: Any, playback: Playback, diagnostics: Diagnostics, wake: Callable[[], None]
@@ -216,7 +216,7 @@ class Overrides:
 
 
 class OperatorInputs:
-    """Inputs of the operator with their values; overrides and single block from the machine."""
+    """The operator's settings. Overrides and single block are read from the machine state."""
 
     def __init__(self, node: Any):
         self.settings, self._optional_stop = OperatorSettings(), False
@@ -234,7 +234,7 @@ class OperatorInputs:
         return f'optional stop: {request.data}'
 
     def pauses_after(self, segments: list[PathSegment]) -> dict[int, Wait]:
-        """Return the blocks after which the machine waits for cycle_start, and why (M0, M1)."""
+        """Return block -> wait for each block after which M0 or M1 stops the machine."""
         waits = {G1Block.STOP: Wait.PROGRAM_STOP}
         if self._optional_stop:
             waits[G1Block.OPTIONAL_STOP] = Wait.OPTIONAL_STOP

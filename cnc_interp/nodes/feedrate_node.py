@@ -1,4 +1,4 @@
-"""The feedrate node: takes ``segments``, sends ``setpoints``; see ``planning_session.py``."""
+"""The feedrate node: receives ``segments``, sends ``setpoints``; see ``planning_session.py``."""
 
 import sys
 import time
@@ -36,11 +36,11 @@ from cnc_interp.wire.path_messages import chunk_message, functions_from, segment
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-SWITCH = 5e-4  #: Longest time that the sending thread waits for the planning thread [s].
+SWITCH = 5e-4  #: Interval of Python's thread switches: the longest wait of the sending thread [s].
 
 
 class PlanningThread:
-    """A thread that executes one task after another, and its latest task."""
+    """A thread that executes one planning task at a time."""
 
     def __init__(self) -> None:
         sys.setswitchinterval(SWITCH)
@@ -50,7 +50,7 @@ class PlanningThread:
         self._loads_rest = False
 
     def load_rest(self) -> None:
-        """Import toppra in a thread once the machine moves; it takes a third of a second."""
+        """Import toppra in a thread, because it takes a third of a second; call it in motion."""
         if not self._loads_rest:
             self._loads_rest = True
             rest = 'cnc_interp.feedrate.backward_pass'
@@ -60,7 +60,7 @@ class PlanningThread:
         self._job = task, self._executor.submit(task.work), time.monotonic()
 
     def done(self) -> tuple[PlanningTask, Callable[[], Any]] | None:
-        """Return the last task and its outcome, once; None while it is running."""
+        """Return a finished task and its outcome, only once; None if there is none."""
         if self._job is None or not self._job[1].done():
             return None
         task, future, submitted = self._job
@@ -72,20 +72,19 @@ class PlanningThread:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-WORK_PERIOD = 0.005  #: Time between checks of the planning thread [s].
-#: A machine that reports and waits, but accepts no setpoint for this time, does not receive them;
-#: second value: silence of the machine [s]. On an overloaded computer, Fast DDS 2.14 may lose one
-#: direction between two processes.
+WORK_PERIOD = 0.005  #: Time between two checks for a finished planning task [s].
+#: If machine_node reports its state but accepts no setpoint for this time, it does not receive
+#: them [s]. On an overloaded computer, Fast DDS 2.14 may lose one direction between two processes.
 DEAF = 20.0
 AGAIN = 'start the nodes again, then the program'
 UNHEARD = f'machine_node does not receive the setpoints; {AGAIN}'
 SILENT = f'feedrate_node does not receive messages of machine_node; {AGAIN}'
 WAITS = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_NEW_PLAN)
-DIAGNOSTICS_PERIOD = 1.0  #: Time between diagnostics of the planning [s].
+DIAGNOSTICS_PERIOD = 1.0  #: Time between two diagnostics messages about the planning [s].
 
 
 class FeedrateNode(LifecycleNode):
-    """Plans the motion along one program after another; the port of its planning session."""
+    """Plans the motion of one program after another; it is the ``Port`` of its session."""
 
     def __init__(self) -> None:
         super().__init__('feedrate_node')
@@ -182,7 +181,7 @@ class FeedrateNode(LifecycleNode):
         self._watch.hear()
 
     def _work(self) -> bool:
-        """Send the setpoints that the window allows, then start the most urgent planning task."""
+        """Send the setpoints that the window allows; then start the most urgent planning task."""
         session, outlet = self._session, self.outlet
         session.settings = self._inputs.settings
         outlet.pump()
@@ -273,7 +272,7 @@ class FeedrateNode(LifecycleNode):
         return chunk_message(told, session.run_id, first, period, joins, signals, settings)
 
     def close(self) -> None:
-        """Close the node; the setpoints already sent end with a stop tail."""
+        """Close the node; the machine then stops by the stop tail of the last chunk sent."""
         self._active = False
         self._thread.close()
 

@@ -1,4 +1,4 @@
-"""The joystick node: ``joy`` becomes ``jog`` beats and steps while its button is pressed."""
+"""The joystick node: while its button is pressed, it turns ``joy`` into beats and steps."""
 
 from functools import partial
 from typing import Any
@@ -15,7 +15,7 @@ from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.parameters import MACHINE
 from cnc_interp.nodes.qos import BEATS
 
-TOOL = 'tool'  #: Name of the motion along the tool, used like an axis name in parameters.
+TOOL = 'tool'  #: Parameter name of the motion along the tool, like an axis name.
 
 
 def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
@@ -48,7 +48,7 @@ class JoyJogNode(Node):
         self.create_subscription(Joy, 'joy', self._take, BEATS)
 
     def _take(self, joy: Joy) -> None:
-        """Publish a beat for each message while the button is pressed, and one at its release."""
+        """Publish a beat for each message while the button is pressed; at release an empty one."""
         button = self._values['enable_button']
         before, self._enabled = self._enabled, bool(joy.buttons[button : button + 1].count(1))
         self._turn(joy)
@@ -63,7 +63,7 @@ class JoyJogNode(Node):
         self._beats.publish(beat)
 
     def _turn(self, joy: Joy) -> None:
-        """While the button is pressed, move the axes by the new counts of their handwheels."""
+        """Move axes by the new counts of their handwheels while the button is pressed."""
         wheels = {axis: self._values[f'wheel.{axis.name}'] for axis in self._axes}
         now = {
             axis.name: float(joy.axes[k]) for axis, k in wheels.items() if 0 <= k < len(joy.axes)

@@ -1,4 +1,4 @@
-"""Load every compiled kernel with a tiny built-in path, once per process, before any motion."""
+"""Load all compiled kernels before any motion, by planning a tiny built-in path."""
 
 import gc
 import signal
@@ -32,15 +32,15 @@ from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Way
 
-#: Tuning that gives the tiny path several windows: some kernels are used only after the first.
+#: Windows so short that the tiny path has several: the first one does not use all kernels.
 SHORT_WINDOWS = replace(LIVE, window_cells=16)
 
-#: A program for the reader, which has kernels too.
+#: A program that loads the kernels of the program reader.
 TINY_TEXT = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nM30\n'
 
 
 def tiny_program(transform: Transform) -> Blocks:
-    """Return three blocks with a corner and an exact stop, in which the tool turns if it can."""
+    """Return three blocks with a corner and an exact stop; the tool turns in them if it can."""
     rotary = np.array([[0.30, 0.20], [0.33, 0.25], [0.35, 0.32], [0.36, 0.35]])
     rotating = transform.machine.has_rotary
     axis = transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (4, 1))
@@ -60,7 +60,7 @@ def tiny_program(transform: Transform) -> Blocks:
 
 
 def dense_program(transform: Transform) -> Blocks:
-    """Return a helix of short blocks between two lines; its curve also replaces parts of these."""
+    """Return a helix of short blocks between two lines; it is smoothed as a dense program."""
     count = 400
     u = np.linspace(0.0, 6.0, count)
     rotary = np.stack([0.3 + 0.01 * np.sin(u), 0.2 + 0.05 * u], axis=1)
@@ -111,7 +111,7 @@ def warm_kinematics(machine: str, period: float) -> AxisPath:
 
 @cache
 def warm_all(machine: str, period: float) -> None:
-    """Load the kernels from corners to setpoints, which curves use too after the look-ahead."""
+    """Load the kernels of all stages, from the look-ahead to the setpoints."""
     warm_feed(Machine.load(machine), warm_kinematics(machine, period), period)
 
 
@@ -135,7 +135,7 @@ def warm_feed(machine: Machine, path: AxisPath, period: float) -> None:
 
 
 def warm_clearance(machine: Machine, settings: Settings, period: float) -> None:
-    """Read the scene, if there is one, and load the kernels that check clearances."""
+    """Read the scene, and load the kernels that check clearances, if there is a scene."""
     clearance = clearance_of(machine, settings)
     if clearance is not None:
         path = warm_kinematics(machine.file or machine.name, period)
@@ -144,7 +144,7 @@ def warm_clearance(machine: Machine, settings: Settings, period: float) -> None:
 
 
 def path_without_kernels(machine: Machine) -> AxisPath:
-    """Return a path on which all axes move along a sine, made without kernels."""
+    """Return a path along which all axes follow a sine; no kernels are needed to make it."""
     s, wave = np.linspace(0.0, 20.0 * MM, 41), 1.0 / (3.0 * MM)
     jets = np.stack([wave**k * np.sin(wave * s + 0.5 * np.pi * k) for k in range(4)])
     cells = jets[:, :, None] * np.full(len(machine.axis_names), 1.0 * MM)
@@ -171,7 +171,7 @@ def resting_chunk(position: FloatArray, period: float) -> Chunk:
 
 @cache
 def warm_machine(machine: str, period: float) -> None:
-    """Load the kernels of the machine by playing setpoints at rest, without its clock."""
+    """Load the kernels of the machine: play setpoints of axes at rest, without the clock."""
     loaded = Machine.load(machine)
     stands = np.zeros(len(loaded.axis_names))
     endless = np.tile([-np.inf, np.inf], (len(stands), 1))
@@ -188,14 +188,14 @@ def warm_machine(machine: str, period: float) -> None:
 
 
 def warm_shared() -> None:
-    """Load kernels of several nodes in the process from which they are forked."""
+    """Load the kernels that several nodes use; called in the process that forks the nodes."""
     settings = Settings()
     read_text(TINY_TEXT, 'warm-up', Transform.of(Machine.load(DEFAULT_MACHINE)), settings)
     warm_kinematics(DEFAULT_MACHINE, settings.interpolation_period)
 
 
 def compile_feed_and_machine() -> None:
-    """Compile kernels that do not depend on those of smoothing and kinematics."""
+    """Compile kernels that need no kernels of smoothing and kinematics."""
     machine, period = Machine.load(DEFAULT_MACHINE), Settings().interpolation_period
     path = path_without_kernels(machine)
     warm_feed(machine, path, period)
@@ -204,7 +204,7 @@ def compile_feed_and_machine() -> None:
 
 
 def compile_kernels() -> None:
-    """Compile the kernels of nodes and planning in two processes; those for HAL need HAL."""
+    """Compile all kernels in two processes, except those for HAL, which need a HAL session."""
     beside = get_context('fork').Process(target=compile_feed_and_machine, daemon=True)
     beside.start()
     warm_shared()

@@ -1,4 +1,4 @@
-"""The look-ahead node: takes ``blocks`` or ``block_batches``, and sends rounded ``segments``."""
+"""The look-ahead node: receives ``blocks`` or ``block_batches``, and sends ``segments``."""
 
 from collections import deque
 from functools import partial
@@ -24,11 +24,11 @@ from cnc_interp.wire.path_messages import blocks_from, blocks_of, segment_messag
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-BATCH = 256  #: Blocks smoothed together.
+BATCH = 256  #: Largest number of blocks that are smoothed in one call.
 
 
 class SmoothingRun:
-    """The smoothing of one run, with a new smoother."""
+    """The smoothing of one run."""
 
     def __init__(self, first: G1Block, smoother: PathSmoother):
         self.run_id: RunId = run_id_of(first)
@@ -52,14 +52,14 @@ class SmoothingRun:
             self._program_stops[block.sequence] = block.program_stop
 
     def smooth(self) -> tuple[int, list[PathSegment]]:
-        """Smooth the next batch; return its number of blocks, and the completed segments."""
+        """Smooth the next batch; return its number of blocks, and the segments that are final."""
         assert self._smoother is not None
         batch = [self.blocks.popleft() for _ in range(min(BATCH, len(self.blocks)))]
         self.complete = batch[-1].end_of_program
         return len(batch), self._complete(self._smoother.push(blocks_from(batch)))
 
     def end(self) -> tuple[list[PathSegment], str]:
-        """End the path at rest with the last valid block; return segments, and a fault."""
+        """End the path at rest after the last valid block; return last segments and a fault."""
         if self._smoother is None:
             return [], ''
         smoother, self._smoother = self._smoother, None
@@ -105,9 +105,9 @@ class SmoothingRun:
         return found
 
 
-WORK_PERIOD = 0.01  #: Time between checks for work while blocks or segments are in transit [s].
-MOST_WAITING = 1024  #: Smoothing pauses while more segments wait for the planner.
-MOST_TOGETHER = 32  #: Most segments in one message.
+WORK_PERIOD = 0.01  #: Time between two checks for work during a run [s].
+MOST_WAITING = 1024  #: If more segments wait to be sent, smoothing pauses.
+MOST_TOGETHER = 32  #: Largest number of segments in one message.
 
 
 class LookaheadNode(Node):
@@ -149,7 +149,7 @@ class LookaheadNode(Node):
         self._pace = Pace(self, WORK_PERIOD, self._work)
 
     def _blocks_of(self, message: G1Block | G1BlockBatch) -> list[G1Block]:
-        """Return the blocks of a message; an empty message only shows that its sender is alive."""
+        """Return the blocks of a message. An empty message only shows that the sender is alive."""
         self._watch.hear()
         return blocks_of(message)
 
@@ -166,7 +166,7 @@ class LookaheadNode(Node):
             self._work()
 
     def _work(self) -> bool:
-        """Smooth a batch if few segments wait, and send as much as the window allows."""
+        """Smooth a batch if few segments wait, and send as many as the window allows."""
         run, receiver, outlet = self._run, self._inlet.receiver, self._outlet
         outlet.pump()
         if outlet.refused and receiver.active:

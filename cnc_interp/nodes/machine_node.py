@@ -1,4 +1,4 @@
-"""The machine node: takes ``setpoints``, and sends them to the drives at absolute deadlines."""
+"""The machine node: receives ``setpoints``; its clock plays them at absolute deadlines."""
 
 from functools import partial
 from pathlib import Path
@@ -30,8 +30,8 @@ from cnc_interp.wire.path_messages import JoinGate, chunk_from
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-WORK_PERIOD = 0.005  #: Time between readings of the cycle's records, in motion [s].
-CLOCK_PERIOD = 1.0  #: Time between reports about the clock [s].
+WORK_PERIOD = 0.005  #: Time between two readings of the cycle's records in motion [s].
+CLOCK_PERIOD = 1.0  #: Time between two reports about the clock [s].
 #: States in which setpoints are rejected.
 CLOSED = (State.INACTIVE, State.STOPPING, State.FAULT)
 LEVELS = {
@@ -110,7 +110,7 @@ class MachineNode(LifecycleNode):
         return super().on_activate(state) if done == TransitionCallbackReturn.SUCCESS else done
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
-        """Switch the drives off, at rest only, and stop the clock."""
+        """Switch the drives off and stop the clock; allowed only at rest."""
         done = node_main.transition(self, self._playback.switch_off)
         if done != TransitionCallbackReturn.SUCCESS:
             return done
@@ -119,7 +119,7 @@ class MachineNode(LifecycleNode):
         return super().on_deactivate(state)
 
     def _keep_positions(self) -> None:
-        """Write the positions into the file, unless they are in doubt."""
+        """Save the axis positions in the file, unless they are uncertain."""
         playback, file = self._playback, self._values['position_file']
         fault = playback.state.state is State.FAULT and not playback.power_fails
         if (
@@ -138,7 +138,7 @@ class MachineNode(LifecycleNode):
             Path(self._values['position_file']).unlink(missing_ok=True)
 
     def _pass(self, chunk: SetpointChunk) -> list[SetpointChunk]:
-        """Hold back the first chunks of a joining plan until there are enough."""
+        """Return the chunks to process now; the first ones of a joining plan wait for more."""
         self._pace.wake()
         receiver = self._inlet.receiver
         return self._gate.passed(chunk, receiver.run_id, receiver.limit)
@@ -188,7 +188,7 @@ class MachineNode(LifecycleNode):
             playback.push(chunk_from(chunk))
 
     def _see_refusal(self) -> None:
-        """Stop on the path after the valid setpoints, because the run receives no more."""
+        """Stop on the path after the buffered setpoints, because the stream was rejected."""
         self._playback.refuse(self._inlet.receiver.refusal_text)
 
     def _see_program(self, program: LoadedProgram) -> None:
@@ -197,7 +197,7 @@ class MachineNode(LifecycleNode):
             self._pace.wake()
 
     def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
-        """Give up the run, also while it is being planned, since it would start after a reset."""
+        """Give up the current run, and a run that is being planned: it must not start later."""
         coming, self._coming = self._coming, NO_RUN
         self._refuse(self._inlet.receiver.run_id, kind, reason)
         self._refuse(coming, kind, reason)
@@ -208,7 +208,7 @@ class MachineNode(LifecycleNode):
             self._inlet.refuse(run_id, kind, reason)
 
     def _work(self) -> bool:
-        """Open the window by the setpoints played; publish a change of the state at once."""
+        """Enlarge the window by the played setpoints; publish the state if it has changed."""
         playback, receiver = self._playback, self._inlet.receiver
         playback.look()
         state, run_id = playback.state, playback.plans.run_id
@@ -248,7 +248,7 @@ class MachineNode(LifecycleNode):
             )
 
     def come_to_rest(self) -> bool:
-        """Stop on the path like a feed hold; return whether the axes rest. Call it repeatedly."""
+        """Stop on the path as at a feed hold; return whether the axes rest. Call it repeatedly."""
         if self._clock_of_drives is None:
             return True
         playback = self._playback

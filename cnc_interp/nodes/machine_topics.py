@@ -24,11 +24,11 @@ from cnc_interp.wire import machine_messages as messages
 from cnc_interp.wire.run_messages import coordinates_from, in_program
 
 EXECUTED_RATE = 10.0  #: Rate of reports of executed setpoints [Hz].
-EARLY = 2e-3  #: A message may be this early, rather than a period late [s].
+EARLY = 2e-3  #: A message may be this early; it would be late at the next call [s].
 
 
 class Rate:
-    """Limits publishing to a rate; calls may also be less frequent, as at rest."""
+    """Calls ``publish`` at most at a rate [Hz]; ``work`` may be called less often, as at rest."""
 
     def __init__(self, rate: float, publish: Callable[[], None]):
         self._period, self._publish, self._due = 1.0 / rate, publish, -math.inf
@@ -68,7 +68,7 @@ class MachineTopics:
         self._contacts = SealedPublisher(node, msg.ProbeContact, 'probe_contact', CONTACTS)
         self._followed = SealedPublisher(node, msg.FollowedSpindle, 'followed_spindle', STREAM)
         self._feedback = SealedPublisher(node, msg.AxisFeedback, 'axis_feedback', STREAM)
-        #: Last published modal states of the program and of MDI lines.
+        #: Modal states received last, of the program and of MDI lines.
         self._modes: dict[str, msg.ModalState] = {}
         for topic in ('active_modes', 'modal_state'):
             take = partial(self._take_modes, topic)

@@ -1,4 +1,4 @@
-"""The markers node: both paths, and bodies of a scene, for RViz and Foxglove; it only listens."""
+"""The markers node: shows both paths and the bodies of a scene in RViz and Foxglove."""
 
 import math
 from collections.abc import Iterable
@@ -27,15 +27,15 @@ from cnc_interp.program.job import JobSetup
 from cnc_interp.run.clearance_stage import setup_text
 from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
-FRAME = 'workpiece'  #: The frame of programs, see the machines' URDF.
-#: Largest number of points of a marker; long lines are divided, so that only their end is resent.
+FRAME = 'workpiece'  #: Frame of programs in the URDF of the machine.
+#: Largest number of points of a marker. Longer lines have several; only the last is resent.
 POINTS = 1000
 PROGRAMMED = ColorRGBA(r=0.55, g=0.62, b=0.68, a=1.0)
 EXECUTED = ColorRGBA(r=0.30, g=0.76, b=0.54, a=1.0)
 
 
 class MarkerLine:
-    """A line that grows, as markers of at most ``POINTS`` points."""
+    """A growing line, shown as markers of at most ``POINTS`` points."""
 
     def __init__(self, name: str, colour: ColorRGBA, width: float, spacing: float):
         self._name, self._colour, self._width, self._spacing = name, colour, width, spacing
@@ -79,7 +79,7 @@ class MarkerLine:
 
 
 class BodyMarkers:
-    """The bodies of a scene in the frames of their links; two that hit each other are red."""
+    """The bodies of a scene, in the frames of their links; bodies that hit each other are red."""
 
     def __init__(self, scene: Path, setup: Path | None, machine: Machine):
         read = read_scene(scene, setup_text(setup))

@@ -1,4 +1,4 @@
-"""The main loop that all nodes share: start, spin, end in a controlled way with exit code 0."""
+"""The main loop of all nodes: start, spin, and end in a controlled way with exit code 0."""
 
 import contextlib
 import ctypes
@@ -30,15 +30,15 @@ from cnc_interp.nodes.qos import DIAGNOSTICS
 from cnc_interp.processes.this_host import stay_on_this_host
 
 SPIN_TIMEOUT = 0.1  #: Timeout of the executor while the axes come to rest [s].
-#: Timeout of the executor in normal operation; signals and the end of the run wake it [s].
+#: Timeout of the executor in normal operation [s]; signals and the end of the run wake it.
 IDLE_TIMEOUT = 1.0
-REST_WAIT = 8.0  #: Longest time for a node that ends to bring the axes to rest [s].
-LAST_WORDS = Duration(seconds=0.2)  #: Longest wait for the last messages of each topic.
-NICENESS = -10  #: Niceness of the nodes, if permitted, so that setpoints do not wait for others.
+REST_WAIT = 8.0  #: Longest time to bring the axes to rest before a node ends [s].
+LAST_WORDS = Duration(seconds=0.2)  #: Longest wait until a topic's last messages are received.
+NICENESS = -10  #: Niceness of the nodes, if permitted: setpoints must not be late.
 
 
 def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bool = True) -> int:
-    """Run one node until Ctrl-C, SIGTERM, or the end of its context or of the run around it."""
+    """Run a node until Ctrl-C, SIGTERM, or the end of ROS or of the parent process."""
     stop: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda found, _frame: stop.append(found))
@@ -96,7 +96,7 @@ def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bo
 
 
 def wake_at(files: list[int], executor: EventsExecutor) -> None:
-    """Wake an executor when one of some files becomes readable; signals alone do not wake it."""
+    """Wake an executor when one of ``files`` becomes readable, because signals do not wake it."""
     select(files, [], [])
     executor.create_task(lambda: None)
 
@@ -104,7 +104,7 @@ def wake_at(files: list[int], executor: EventsExecutor) -> None:
 def answering(
     act: Callable[[Any, Any], str], wake: Callable[[], None] = lambda: None
 ) -> Callable[[Any, Any], Any]:
-    """Return a service that answers with the text of an action, or the reason of a refusal."""
+    """Return a service callback that answers with the text of ``act``, or with its error."""
 
     def serve(request: Any, response: Any) -> Any:
         wake()
@@ -118,10 +118,10 @@ def answering(
 
 
 def end_goal(handle: Any, result: Any, succeeded: bool, cancelled: bool = True) -> None:
-    """End the goal of an action with its result; ``cancelled``: whether a client may be the cause.
+    """End the goal of an action with its result; ``cancelled``: whether it may end as cancelled.
 
-    The result must exist beforehand, because rclpy polls an awaiting execute callback and so uses
-    most of a core.
+    The result must already exist: rclpy would poll an execute callback that awaits it, and would
+    use most of a core.
     """
 
     def execute(goal: Any) -> Any:
@@ -145,7 +145,7 @@ def answer_flush(node: Any, _request: Any, response: Any) -> Any:
 
 
 def come_first(niceness: int = NICENESS) -> None:
-    """Raise the priority of this process and its desktop session, where that is permitted."""
+    """Raise the priority of this process and of its session, if that is permitted."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if os.getsid(0) == os.getpid():  # a session of its own, not that of a shell
@@ -154,7 +154,7 @@ def come_first(niceness: int = NICENESS) -> None:
 
 
 def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:
-    """Do the work of a lifecycle transition and log why it fails; rclpy would fail silently."""
+    """Do the work of a lifecycle transition; log why it fails, because rclpy does not."""
     node.problem = ''
     try:
         work()
@@ -175,11 +175,11 @@ def start_lifecycle(node: Any) -> None:
 
 
 def every(node: Any, period: float, act: Callable[[], None]) -> Any:
-    """Call at intervals of a steady clock, because ``/clock`` may stop."""
+    """Call ``act`` at intervals of a steady clock [s], because ``/clock`` may stop."""
     return node.create_timer(period, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-#: Time between two calls at rest [s]; it determines how often the nodes report then, and so their
+#: Time between two calls at rest [s]. It determines how often nodes report at rest, and their
 #: processor load.
 REST = 0.5
 CALM = 1.0  #: Time without work after which the node counts as resting [s].
@@ -188,8 +188,8 @@ CALM = 1.0  #: Time without work after which the node counts as resting [s].
 def give_back_memory() -> None:
     """Free the memory that a run leaves in reference cycles, and return it to the system.
 
-    The collector counts objects, and a run leaves only few, so their large arrays would stay for
-    many runs. Freed memory is fragmented, and only the C library can return it.
+    Python's collector starts after a number of objects. A run leaves few objects with large
+    arrays, so they would stay for many runs. The C library then returns the free memory.
     """
     gc.collect()
     trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc
@@ -198,7 +198,7 @@ def give_back_memory() -> None:
 
 
 class Pace:
-    """Calls a node's work at short intervals while it is needed, and seldom at rest."""
+    """Calls the work of a node at short intervals while there is any, and rarely at rest."""
 
     def __init__(self, node: Any, period: float, work: Callable[[], bool]):
         self._work, self._period, self._needed = work, period, time.monotonic()
@@ -206,7 +206,7 @@ class Pace:
         self._timer = every(node, period, self._call)
 
     def wake(self) -> None:
-        """Work at the short intervals from now on; call it with every command or message."""
+        """Return to the short intervals; call it at every command or message."""
         self._needed = time.monotonic()
         if self._slow:
             self._set(False)
@@ -224,14 +224,14 @@ class Pace:
         self._timer.reset()
 
 
-WAITING = 'waiting'  #: Key under which program_node names the programs that wait.
-TOOL = 'tool'  #: Key of the number of the tool that the operator must put in now.
-#: Key of the distance of the tool tip from the end of its line, where a single block rests [m].
+WAITING = 'waiting'  #: Key: names of waiting programs, from program_node.
+TOOL = 'tool'  #: Key: number of the tool that the operator must put in now.
+#: Key: distance of the tool tip from the end of its line while it rests in single block [m].
 OFF_LINE_END = 'off_line_end'
-PREPARED = 'prepared'  #: Key of the progress of the preparation of a program before it moves [-].
-#: Key under which machine_node reports the contour error without compensation [m].
+PREPARED = 'prepared'  #: Key: progress of preparing a program [-].
+#: Key: contour error without compensation, from machine_node [m].
 WITHOUT = 'contour_error_without_compensation'
-#: Key under which a node names two bodies that hit each other, or would; apart by ``AND``.
+#: Key: names of two bodies that hit, or would hit, each other, separated by ``AND``.
 BODIES, AND, STOCK = 'bodies', ' | ', 'stock'
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 

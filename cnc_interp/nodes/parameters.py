@@ -1,4 +1,4 @@
-"""Parameters of the nodes: one scalar each, SI, with description and range."""
+"""Parameters of the nodes in SI units, each with a description and a range."""
 
 from collections.abc import Mapping, Set
 from functools import partial
@@ -14,7 +14,7 @@ from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
 
 def of_settings(*stages: Stage) -> tuple[Declared, ...]:
-    """Declare the settings of given stages; 0 or empty: this optional setting is not given."""
+    """Return the settings of ``stages`` as parameters; 0 or '' if an optional one is not set."""
     return tuple(declared(choice) for choice in choices(Settings, *stages))
 
 
@@ -38,7 +38,7 @@ RESEND = Declared('resend_after', 0.25, 'Time until a lost message is resent [s]
 PEER_TIMEOUT = Declared(
     'peer_timeout', 3.0, 'Silence after which another node counts as lost [s]', 0.5, 60.0
 )
-#: The scene, and the tool table that completes its tools.
+#: The scene, and the tool table with the shapes of its tools.
 SCENE = tuple(each for each in of_settings(*Stage) if each.name in ('scene', 'setup'))
 
 LOOKAHEAD = (
@@ -103,7 +103,7 @@ BATCH = (
     Declared('longest_planning', 3600.0, 'Longest planning time of a program [s]', 1.0, 1e6),
 )
 
-#: Parameters of the nodes that a run needs.
+#: Node -> its parameters, for the nodes that a run needs.
 NODES = {
     'program_node': PROGRAM,
     'lookahead_node': LOOKAHEAD,
@@ -127,7 +127,7 @@ def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """Return the settings that parameters of a node give; raises SettingsError on a bad value."""
+    """Return the settings in the parameters of a node; SettingsError if a value is invalid."""
     known = [choice for choice in choices(Settings) if choice.name in values]
     return Settings(**{choice.name: choice.from_plain(values[choice.name]) for choice in known})
 
@@ -148,7 +148,7 @@ def descriptor_of(parameter: Declared) -> msg.ParameterDescriptor:
 
 
 def check_change(declared: Set[str], changes: list[Any]) -> msg.SetParametersResult:
-    """Reject changes while the node runs: buffers, windows and plans depend on the values."""
+    """Reject changes of parameters, because buffers, windows and plans depend on them."""
     for change in changes:
         if change.name in declared:
             return msg.SetParametersResult(

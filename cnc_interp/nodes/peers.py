@@ -1,4 +1,4 @@
-"""The latest messages of the other nodes, and silent nodes."""
+"""The latest messages of the other nodes, and the time since they were received."""
 
 import math
 import time
@@ -18,7 +18,7 @@ from cnc_interp.wire.message_checks import check_state
 from cnc_interp.wire.run_messages import ends, machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
-#: Waits after which the machine continues by itself, without cycle_start.
+#: Values of ``waits_for`` with which the machine continues without cycle_start.
 STARTS_BY_ITSELF = (
     MachineState.WAITS_FOR_SETPOINTS,
     MachineState.WAITS_FOR_OVERRIDE,
@@ -33,7 +33,7 @@ def watch_machine(
     diagnostics: Diagnostics | None = None,
     tell: Callable[[str], object] = str,
 ) -> None:
-    """Pass on the states of the machine; drop an invalid one, and report why."""
+    """Call ``take`` with each state of the machine; drop invalid states and report why."""
 
     def see(state: MachineState) -> None:
         try:
@@ -55,7 +55,7 @@ class Peers:
         self._state_seen = -math.inf
         self._status: dict[str, StreamStatus] = {}
         self._seen: dict[str, float] = {}
-        self.foreign: set[str] = set()  #: Topics with senders whose messages were ignored.
+        self.foreign: set[str] = set()  #: Topics with ignored messages, and their senders.
         hear_statuses(node, self._see_status, '', diagnostics, self.foreign.add)
         watch_machine(node, self._see_state, axis_count, diagnostics, self.foreign.add)
 
@@ -72,11 +72,11 @@ class Peers:
 
     @property
     def heard(self) -> float:
-        """Monotonic time at which any other node was last heard [s]."""
+        """Monotonic time of the last message of any other node [s]."""
         return max(self._state_seen, *self._seen.values(), -math.inf)
 
     def trust(self, now: float) -> None:
-        """Reset the silence of the other nodes, because this node was not listening."""
+        """Treat all known nodes as heard at time ``now`` [s], because this node was suspended."""
         self._seen = dict.fromkeys(self._seen, now)
         self._state_seen = now
 
@@ -91,7 +91,7 @@ class Peers:
 
     @property
     def at_rest(self) -> bool:
-        """Return whether the machine rests and is not about to move by itself."""
+        """Whether the machine rests and will not move without the operator."""
         return (
             self.state is not None
             and self.state.resting
@@ -100,7 +100,7 @@ class Peers:
 
     @property
     def all_heard(self) -> bool:
-        """Return whether every other node has been heard; a silent node may still be starting."""
+        """Whether every other node has been heard; one that has not may still be starting."""
         return self.state is not None and self._seen.keys() >= RECEIVERS.keys()
 
     def missing(self, now: float, timeout: float) -> str:
@@ -110,7 +110,7 @@ class Peers:
         return '' if now - self._state_seen <= timeout else 'machine_node'
 
     def refusal(self, run_id: RunId) -> tuple[Refusal, str]:
-        """Return why a run was rejected, by the rejecting node nearest to the machine."""
+        """Return why a run was rejected; of several nodes, that nearest to the machine decides."""
         for stream in reversed(RECEIVERS):
             status = self._status.get(stream)
             # A plan that joins too late does not end the run.
@@ -121,7 +121,7 @@ class Peers:
         return Refusal.NONE, ''
 
     def told(self, stream: str, run_id: RunId) -> StreamStatus:
-        """Return the last status of a run from the receiver of a stream."""
+        """Return the last status of a run that the receiver of a stream has sent."""
         return self._status[stream] if self.knows(stream, run_id) else StreamStatus()
 
     def knows(self, stream: str, run_id: RunId) -> bool:
@@ -130,7 +130,7 @@ class Peers:
 
 
 class SenderWatch:
-    """Reports the sender of a stream as lost, and withdraws that when it is heard again."""
+    """Reports the sender of a stream as lost, until the sender is heard again."""
 
     def __init__(
         self,
@@ -154,7 +154,7 @@ class SenderWatch:
             self._diagnostics.say(self._part, OK, f'{self._sender} is there again')
 
     def look(self, waits: bool) -> None:
-        """Report the sender as lost if it is silent while something is expected from it."""
+        """Report the sender as lost if it is silent too long while this node ``waits`` for it."""
         silence = self._silence.waited(waits, time.monotonic())
         if silence > self._timeout and not self._lost:
             self._lost = True

@@ -1,4 +1,4 @@
-"""The planning of successive runs; without ROS calls, clock or threads.
+"""The planning of successive runs. It has no ROS calls, no clock and no threads.
 
 ``step`` returns the next task. The caller executes it and hands the result to ``finish``.
 """
@@ -49,7 +49,7 @@ class Port(Protocol):
 @dataclass(frozen=True)
 class Received:
     run_id: RunId = NO_RUN  #: Plan that the machine receives.
-    executed: float = -math.inf  #: Estimated number of the next setpoint to be executed.
+    executed: float = -math.inf  #: Estimate: number of the setpoint to be executed next.
     turned_away: bool = False  #: Whether the last plan came too late to join.
 
 
@@ -100,22 +100,22 @@ class PathEnd(IntEnum):
     QUEUED = 3  # its last setpoint is handed to the sender
 
 
-SEGMENTS_PER_TASK = 64  #: Number of segments taken together.
-#: Motion sampled beyond the sent setpoints; the remaining planned motion stays unsampled [s].
+SEGMENTS_PER_TASK = 64  #: Largest number of segments in one task.
+#: Motion that is sampled before it can be sent; later planned motion is not sampled yet [s].
 SAMPLED_AHEAD = 0.6
 REVISE_AGAIN = 0.02  #: Time between the end of a revision and the next one [s].
-#: Motion sent ahead before a revision begins, because the current plan is not sampled meanwhile;
-#: longest time between two revisions if less motion is ahead [s].
+#: A revision begins once this much motion is sent ahead, because it interrupts the sampling of the
+#: current plan; or after the second time if less motion is ahead [s].
 REFILLED, REFILLING = 0.8, 0.5
-#: Lead time with which a revision joins, and the largest one, after a late revision [s].
+#: Time from the start of a revision to its join: the first value, and the largest one [s].
 LEAD, LONGEST_LEAD = 0.065, 0.4
-LONGER = 1.3  #: Time given to a revision, relative to the time of the one before [-].
-MARGIN = 0.03  #: A revision that would join with less lead time is late [s].
+LONGER = 1.3  #: Time allowed for a revision over the time of the last one [-].
+MARGIN = 0.03  #: A revision is late if its join is less than this ahead [s].
 
 
 @dataclass(frozen=True)
 class Kept:
-    """The plan in effect until another one has joined."""
+    """The old plan, which stays in effect until the new one has joined."""
 
     run_id: RunId
     joins_at: int
@@ -124,7 +124,7 @@ class Kept:
 
 
 class PlanningSession:
-    """Plans runs; ``port``: the node that sends setpoints and reads segments."""
+    """Plans one run after another; ``port``: node that reads segments and sends setpoints."""
 
     def __init__(self, port: Port, period: float, plan_ahead: float):
         self._port, self._period, self._plan_ahead = port, period, plan_ahead
@@ -175,7 +175,7 @@ class PlanningSession:
             self.planner.stream.functions.told(report.functions)
 
     def give_up(self, kind: Refusal, reason: str) -> None:
-        """End the run for good; lost messages are not sent again."""
+        """End the run with a refusal; messages that were lost are not sent again."""
         if self.activity not in (Activity.NONE, Activity.ENDED):
             self._end()
             self._port.outlet.sender.begin(NO_RUN)
@@ -187,7 +187,7 @@ class PlanningSession:
         self.task, self.wants_segments = None, False
 
     def step(self, now: float, received: Received) -> PlanningTask | None:
-        """Return the next task at a time of a steady clock [s]; None while a task runs."""
+        """Return the next task; None if there is none, or while one runs. ``now`` [s]: steady."""
         self._received = received
         if self.activity is Activity.JOINING:
             self._see_join()
@@ -272,7 +272,7 @@ class PlanningSession:
         return PlanningTask(lambda: planner.revise(number, settings), self._revised)
 
     def _revised(self, revision: Revision | None, now: float) -> None:
-        """Send a revision that is ready in time; a late one is dropped."""
+        """Send a revised plan if it can join in time; drop it if it is late."""
         planner = self.planner
         if revision is not None and self._is_late(revision.number):
             self._lead = self._lead_like_last(now)
@@ -295,12 +295,12 @@ class PlanningSession:
         return min(max(needed, LEAD), LONGEST_LEAD)
 
     def _is_late(self, number: int) -> bool:
-        """Return whether the machine may pass a setpoint before a plan can join there."""
+        """Return whether a plan would join too late at setpoint ``number``."""
         ahead = (number - self._received.executed) * self._period
         return ahead < MARGIN and not self._is_last(number)
 
     def _see_join(self) -> None:
-        """Continue once the machine has answered; keep the old plan if the join came too late."""
+        """End a join once the machine has answered; if it was too late, restore the old plan."""
         kept, planner = self._kept, self.planner
         if self._received.turned_away and kept is not None and planner is not None:
             planner.stream.adopt(kept.plan)
@@ -351,7 +351,7 @@ class PlanningSession:
                 self.path_end = PathEnd.QUEUED
 
     def finish(self, task: PlanningTask, outcome: Callable[[], Any], now: float) -> None:
-        """Store the result of a task of this run; an InterpError rejects the run."""
+        """Process the result of a task of the current run; an InterpError rejects the run."""
         if task is not self.task:
             return
         self.task = None

@@ -1,4 +1,4 @@
-"""Imports of the nodes, loaded once by the process from which they are forked."""
+"""Import the modules of all nodes once, in the process that forks the nodes."""
 
 import gc
 from importlib import import_module

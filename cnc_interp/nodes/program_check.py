@@ -30,30 +30,30 @@ from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import settings_of_goal
 
-LONGEST_TEXT = 16 << 20  #: Longest text that is kept for display [bytes].
+LONGEST_TEXT = 16 << 20  #: Longest program text that is stored for display [bytes].
 
 
 @dataclass(frozen=True)
 class Prepared:
-    blocks: BlockSpool  #: Start pose, then the program.
-    notices: tuple[str, ...]  #: Words that had no effect or were simplified.
-    text: str  #: Text of the program; empty if it is very long.
+    blocks: BlockSpool  #: Start pose, then the blocks of the program.
+    notices: tuple[str, ...]  #: Notices about words that were ignored or simplified.
+    text: str  #: Text of the program; empty if it is too long.
     settings: Settings  #: Settings of the run.
     path_length: float  #: Length of the smoothed path [m]; 0 for an MDI line without motion.
-    #: (k,): Ascending rows of corners at which a stop is faster. At all other corners it is not,
-    #: so the look-ahead need not try them again.
+    #: (k,): Rows of the corners at which a stop is faster than rounding, ascending. The look-ahead
+    #: therefore need not compare the two at any corner.
     stops: IntArray
-    setup: JobSetup  #: Offsets and tools with which it was read.
-    is_own_setup: bool  #: Whether the goal named them, instead of those of the machine.
-    changes: tuple[ProgramChange, ...]  #: Changes that it makes to them.
-    used: frozenset[str]  #: Names of those that it uses.
-    modes: ModesOfBlocks  #: The modal state of each block.
+    setup: JobSetup  #: Offsets and tools with which the program was read.
+    is_own_setup: bool  #: Whether ``setup`` is of the goal, not of the machine.
+    changes: tuple[ProgramChange, ...]  #: Changes of the setup by the program.
+    used: frozenset[str]  #: Names of the used offsets and tools.
+    modes: ModesOfBlocks  #: Modal state of each block.
     functions: Functions = NO_FUNCTIONS  #: Functions of the program.
-    start: StartPlace | None = None  #: Start of the run, if not at the top.
-    waits_first: bool = False  #: Whether it waits for the operator before it moves (M0).
-    line: MdiLine | None = None  #: MDI line, whose modal state is kept once executed.
-    probe: Probe | None = None  #: Probe after whose answer reading continues.
-    stream: ProgramStream | None = None  #: Stream from which reading continues.
+    start: StartPlace | None = None  #: Where the run starts; None for the top.
+    waits_first: bool = False  #: Whether M0 comes before any motion.
+    line: MdiLine | None = None  #: The MDI line, if it is one.
+    probe: Probe | None = None  #: Probe that ends this part of the program.
+    stream: ProgramStream | None = None  #: Rest of the program, to be read after the probe.
     digest: str = ''  #: SHA-256 of the program.
 
     def __getitem__(self, rows: slice) -> Blocks:
@@ -72,7 +72,7 @@ def prepare(
     folders: Sequence[str] = (),
     of_machine: Callable[[], JobSetup] = JobSetup,
 ) -> Prepared:
-    """Read and check the program of a goal before anything moves, with constant memory."""
+    """Read and check the program of a goal before anything moves, in constant memory."""
     machine = transform.machine
     if goal.machine and goal.machine != machine.name:
         raise InterpError(
@@ -125,7 +125,7 @@ def prepare_on(
     transform: Transform,
     told: Callable[[float], None],
 ) -> Prepared:
-    """Continue reading a program after its probe, and check the next part."""
+    """Read and check the next part of a program, which follows its probe."""
     assert before.stream is not None
     before.stream.go_on(stands, at)
     stream, settings = before.stream, before.settings
@@ -162,7 +162,7 @@ def check(
     may_rest: bool = False,
     stands: FloatArray | None = None,
 ) -> Prepared:
-    """Check a program by smoothing and kinematics to its last block; raises as ``prepare``."""
+    """Smooth and transform a program up to its last block; raises errors like ``prepare``."""
     blocks, length = BlockSpool(), 0.0
     chain, tolerances = PathChain(transform, settings, stands=stands), ToleranceUse()
     finder = None
@@ -231,13 +231,13 @@ class Preparation:
         self.cancelled = False
 
     def has_checked(self, share: float) -> None:
-        """Record the progress of the check, or end it if the user has cancelled."""
+        """Store the progress of the check; raise BlockError if the user has cancelled."""
         self.checked = share
         if self.cancelled:
             raise BlockError('cancelled before anything moved')
 
     def look(self) -> Outcome | None:
-        """Return the outcome if the program was rejected; once checked, store the program."""
+        """Return the outcome if the program was rejected; store the program once it is checked."""
         if self.prepared is not None or self.future is None or not self.future.done():
             return None
         try:

@@ -70,11 +70,11 @@ class Mdi:
             self._publisher.publish(modal_state(self._reader.modes(setup)))
 
     def coordinates(self, setup: JobSetup) -> ProgramCoordinates:
-        """Return the coordinates of the next MDI line, with these offsets and tools."""
+        """Return the program coordinates of the next MDI line, with the offsets of ``setup``."""
         return self._reader.modes(setup).frame
 
     def refusal(self, run: ProgramRun, peers: Peers, missing: str, busy: bool) -> Outcome | None:
-        """Return why a line cannot start now; if it can, store the machine's position."""
+        """Return why an MDI line cannot start now; otherwise store the machine's position."""
         if busy:
             return Outcome(Code.BUSY, 'a program is running; enter the line when it has ended')
         machine = peers.machine
@@ -118,15 +118,15 @@ class ActiveModesTopic:
 
 
 Result = RunProgram.Result
-WORK_PERIOD = 0.02  #: Time between two steps of a run [s].
-FEEDBACK = 0.1  #: Time between feedbacks [s].
-ALIVE = 1.0  #: Time between empty messages while blocks are held back [s].
-PRESS_AGAIN = 0.25  #: Time between repeated calls of a service of the machine [s].
-FROZEN = 0.5  #: After a longer pause of this node, silence of other nodes is ignored [s].
+WORK_PERIOD = 0.02  #: Time between two calls of a run's step [s].
+FEEDBACK = 0.1  #: Time between two feedback messages of the action [s].
+ALIVE = 1.0  #: Time between empty messages while no blocks are sent in single block [s].
+PRESS_AGAIN = 0.25  #: Time until a service of the machine is called again [s].
+FROZEN = 0.5  #: If this node was suspended longer, silence of others is ignored [s].
 
 
 class ProgramNode(Node):
-    """Runs one program after another. Goals that arrive in the meantime wait."""
+    """Runs one program at a time. Goals that arrive meanwhile are queued."""
 
     def __init__(self) -> None:
         super().__init__('program_node')
@@ -288,7 +288,7 @@ class ProgramNode(Node):
     def _read_on(
         self, run: ProgramRun, stands: FloatArray, at: FloatArray | None, now: float
     ) -> None:
-        """Continue reading the program after a probe, with its changes of the setup in effect."""
+        """Continue reading a program after its probe; its changes of the setup apply first."""
         before, state = run.preparation.prepared, self._state
         assert before is not None and state is not None
         self._keep_changes(run, Outcome(Code.SUCCEEDED, ''))
@@ -306,7 +306,7 @@ class ProgramNode(Node):
         self._state = None
 
     def _see_unknown_run(self, now: float) -> None:
-        """Report what to do if the machine waits in a run that this node has not begun."""
+        """Tell the operator to reset if the machine waits in a run unknown to this node."""
         state = self._peers.state
         if state is None or not state.program_id:
             return
@@ -340,7 +340,7 @@ class ProgramNode(Node):
         self._diagnostics.say('program', level, text, **values)
 
     def _keep_changes(self, run: ProgramRun, outcome: Outcome | None) -> None:
-        """Store the program's changes of the setup, as far as they were executed."""
+        """Apply the program's changes of offsets and tools up to the last executed block."""
         state = self._state
         ended = outcome is not None and outcome.code is Code.SUCCEEDED
         if not ended and (state is None or not state.samples):
@@ -356,7 +356,7 @@ class ProgramNode(Node):
                 self._diagnostics.say('setup', WARN, str(problem))
 
     def _press(self, button: str, now: float) -> None:
-        """Call a service of the machine at intervals, because a lost node never answers."""
+        """Call a service of the machine; repeat it at intervals, because an answer may be lost."""
         if now - self._pressed_at > PRESS_AGAIN:
             self._pressed_at = now
             self._buttons[button].call_async(Trigger.Request())
@@ -397,7 +397,7 @@ class ProgramNode(Node):
             self._queue.give_up(run.name)
 
     def _keep_row(self, run: ProgramRun, result: RunProgram.Result) -> None:
-        """Write the run into the history; lines by hand are no runs."""
+        """Append the run to the history; MDI lines are left out."""
         goal, times, now = self._goal.request, self._times, time.monotonic()
         if goal.mdi:
             return
@@ -423,7 +423,7 @@ class ProgramNode(Node):
             self._diagnostics.say('history', WARN, str(problem))
 
     def close(self) -> None:
-        """Close the node; the sent blocks are still executed, and the look-ahead ends the path."""
+        """Close the node. Blocks that were sent are still executed, down to rest."""
         self._worker.shutdown(wait=False, cancel_futures=True)
         self._server.destroy()
         self._table.close()

@@ -1,4 +1,4 @@
-"""One run of a program from its goal to its outcome, and waiting goals; without ROS calls."""
+"""One run of a program from goal to outcome, and the queue of goals; without ROS calls."""
 
 import time
 import uuid
@@ -31,13 +31,13 @@ from cnc_interp.wire.path_messages import block_messages, function_messages
 from cnc_interp.wire.run_messages import loaded_program, pairs_of
 from cnc_interp.wire.window_protocol import WindowedSender
 
-PATIENCE = 10.0  #: Longest time for look-ahead and planner to accept a run [s].
-#: The same for nodes not heard yet, which may still be starting and loading kernels [s].
+PATIENCE = 10.0  #: Longest wait until look-ahead and planner accept a run [s].
+#: Longest wait for nodes that are not heard yet and may still be loading kernels [s].
 STARTING = 60.0
-FORGOTTEN = 1.0  #: A machine that has left its run for this time was reset or restarted [s].
-SWITCHED = 0.1  #: Longest delay of the machine's new state after a call [s].
-SAME = 1e-9  #: Tolerance within which the machine is at the start of an MDI line [m, rad].
-#: Path length of a start at the first motion [m]; above 0, so that this start waits, too.
+FORGOTTEN = 1.0  #: If the machine reports another run for this time, it was reset [s].
+SWITCHED = 0.1  #: Longest time from a call to the new state of the machine [s].
+SAME = 1e-9  #: Tolerance of the position at the start of an MDI line [m, rad].
+#: Path length for a start at the first motion [m]. It is above 0, so that this start waits.
 FIRST_MOTION = 5e-14
 CANCELLED = 'cancelled before anything moved'
 MACHINE = RECEIVERS['setpoints']
@@ -45,7 +45,7 @@ PLANNERS = {RECEIVERS['blocks'], RECEIVERS['segments']}
 
 
 def why_not(missing: str, machine: MachineReport | None) -> Outcome | None:
-    """Return why nothing can start, given a silent node and the machine; None if it can."""
+    """Return why no program can start; ``missing``: name of a silent node. None if one can."""
     if missing or machine is None:
         text = f'{missing or MACHINE} does not answer; start it and try again'
         return Outcome(Code.STREAM_LOST, text)
@@ -82,8 +82,8 @@ class ProgramRun:
         self._known_by: set[str] = set()
         self.answer: Any = None  # of the machine, to functions without motion
         self.contact: ProbeContact | None = None  # of this part of the program
-        #: Present positions of the axes, and those at the probe's answer, if any [m, rad]. If set,
-        #: reading of the program must continue.
+        #: Positions of the axes now, and at the contact of the probe, if any [m, rad]. If set, the
+        #: rest of the program must be read.
         self.probed: tuple[FloatArray, FloatArray | None] | None = None
         self.parts: list[MachineState] = []  # the last state of each part before
         self.sent_in_parts = 0  # blocks
@@ -136,7 +136,7 @@ class ProgramRun:
         return 0 if program is None else len(program.functions)
 
     def _switching(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """Watch functions without motion until all outputs are set and all answers received."""
+        """Return the outcome of a program without motion once all its functions are done."""
         machine, answer = peers.machine, self.answer
         if peers.missing(now, timeout) or answer is None or machine is None:
             return why_not(MACHINE, None)
@@ -205,7 +205,7 @@ class ProgramRun:
         return run_phase.refused(kind, reason, moved=self._machine is not None)
 
     def _at_probe(self, probe: Probe, machine: MachineReport) -> Outcome | None:
-        """Return why the program ends at the probe; if it continues, store the contact."""
+        """Return the outcome if the program ends at the probe; otherwise store the contact."""
         contact = self.contact
         if machine.probed and contact is None:
             return None  # its message comes
@@ -218,7 +218,7 @@ class ProgramRun:
         return None
 
     def read_on(self, ready: Future[Prepared], state: MachineState, sent: int, now: float) -> None:
-        """Begin the part of the program after a probe, which is read and checked meanwhile."""
+        """Begin the next part of a program, after its probe; ``ready`` is its coming check."""
         assert self.probed is not None
         self.parts.append(state)
         self.sent_in_parts += max(self.sent_before, sent) - 1
@@ -253,12 +253,12 @@ class ProgramRun:
 
     @property
     def may_reset(self) -> bool:
-        """Return whether a reset gives this run up: it rests on the path, or has not begun."""
+        """Whether a reset would give this run up: it rests on the path or has not begun."""
         return self._machine is None or self.rests
 
     @property
     def trouble(self) -> str:
-        """The reason why the run cannot continue, and what to do; empty if it can."""
+        """Why the run cannot continue, and what the operator must do; '' if it can."""
         if self.missing:
             return f'{self.missing} does not answer; start it again, then press cycle start'
         lost = self.recovery.node
@@ -270,7 +270,7 @@ class ProgramRun:
         )
 
     def waits_for(self, peers: Peers) -> tuple[str, float] | None:
-        """Return the event that the run waits for before it moves, and its progress [-]."""
+        """Return what the run waits for before it moves, and the progress [-]; None otherwise."""
         program, state = self.preparation.prepared, peers.state
         if self.phase is Phase.CHECKING:
             share = self.preparation.checked
@@ -286,7 +286,7 @@ class ProgramRun:
         return f'planning {self.name}: {text}', share
 
     def tool_wanted(self, state: MachineState | None, signals: Signals) -> int | None:
-        """Return the tool that the operator must put in now, if any."""
+        """Return the number of the tool that the operator must put in now, or None."""
         program = self.preparation.prepared
         if state is None or program is None or not state.functions or self.phase not in SENDING:
             return None
@@ -299,7 +299,7 @@ class ProgramRun:
         return int(program.functions.value[last]) if signals.is_change(step) else None
 
     def off_line_end(self, state: MachineState) -> float | None:
-        """Return the distance of the resting tip from the end of its line in single block [m]."""
+        """Return how far the tip rests from the end of its line in single block [m], or None."""
         program = self.preparation.prepared
         rests = state.resting and state.reason == MachineState.REASON_SINGLE_BLOCK
         if program is None or not rests or state.program_id != self.run_id.program_id:
@@ -311,7 +311,7 @@ class ProgramRun:
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 
     def begin_again(self, now: float, sent: int) -> None:
-        """Restart where the machine rests; the same blocks give the same path."""
+        """Restart the run where the machine rests: the same blocks are sent again."""
         self.sent_before = max(self.sent_before, sent)
         reached = 0.0 if self._machine is None else self._machine.path_position
         # It is not above 0 on the approach.
@@ -323,7 +323,7 @@ class ProgramRun:
 
     @property
     def start_at(self) -> float:
-        """Path length at which the run starts [m]; 0 for a start at the top."""
+        """Path position at which the run starts [m]; 0 at the top of the program."""
         program = self.preparation.prepared
         if program is None or not (program.start or program.waits_first):
             return 0.0
@@ -344,7 +344,7 @@ class ProgramRun:
         self._change(PhaseChange.STALE, now)
 
     def take_changes(self, block: int, ended: bool) -> list[ProgramChange]:
-        """Return the program's changes of the machine's setup since the last call."""
+        """Return the program's setup changes up to ``block`` that were not returned before."""
         program = self.preparation.prepared
         if program is None or program.is_own_setup:
             return []
@@ -378,23 +378,23 @@ class ProgramRun:
         return RunProgram.Result(**vars(outcome), program_id=moved, notices=list(notices))
 
 
-MOST_QUEUED = 512  #: Blocks queued for sending at a time; not the whole program.
-MOST_TOGETHER = 64  #: Most blocks in one message.
-#: Line ends sent beyond the executed block in single block, so that few lines keep their exact
-#: stops when it is switched off. The look-ahead needs some blocks before a corner is final, and
-#: the planner knows the end of a line only once the next line has begun.
+MOST_QUEUED = 512  #: Largest number of blocks queued for sending.
+MOST_TOGETHER = 64  #: Largest number of blocks in one message.
+#: In single block, number of line ends that are sent ahead of the executed block. It is small,
+#: because these lines keep their exact stops when single block is switched off. It is not 1,
+#: because the look-ahead and the planner need some blocks beyond the end of a line.
 LINES_AHEAD = 8
 
 
 class BlockFeed:
-    """Sends the blocks of a program; in single block each line ends with an exact stop."""
+    """Sends the blocks of a program; in single block it adds an exact stop to each line."""
 
     def __init__(self, signals: Signals) -> None:
         self._prepared: Prepared | None = None
         self._signals = signals
         self._run_id, self._continue_at = NO_RUN, 0.0
         self._queued = 0
-        #: First row to which single block may add an exact stop: no row from it on was queued.
+        #: First row that was never queued: single block may add exact stops from here on.
         self._undecided = 0
         self._stops: list[int] = []  # rows of the exact stops that it has added
         self.holds_back = False  # blocks, until the machine has executed more
@@ -413,7 +413,7 @@ class BlockFeed:
     def fill(
         self, sender: WindowedSender[slice], single_block: bool = False, executed: int = 0
     ) -> None:
-        """Queue blocks to send; ``executed``: the last block that the machine has executed."""
+        """Queue blocks for sending; ``executed``: the last block that the machine has executed."""
         program, self.holds_back = self._prepared, False
         rows = 0 if program is None else len(program.blocks)
         while program is not None and self._queued < rows and sender.unsent < MOST_QUEUED:
@@ -461,13 +461,13 @@ class BlockFeed:
 
 
 def line_ends(blocks: Blocks) -> IntArray:
-    """Return the rows that end a source line and at which the path may rest (not in splines)."""
+    """Return the last row of each source line, except within splines, where no stop is allowed."""
     line, spline = blocks.line_number, blocks.on_spline
     return np.flatnonzero((line[:-1] != line[1:]) & ~(spline[:-1] & spline[1:]))
 
 
-MOST = 16  #: Largest number of programs that may wait. Each one uses memory.
-FEEDBACK = 0.5  #: Time between feedbacks to a goal that waits [s].
+MOST = 16  #: Largest number of queued programs; each needs memory.
+FEEDBACK = 0.5  #: Time between two feedback messages to a queued goal [s].
 
 
 class Waiting(NamedTuple):
@@ -501,7 +501,7 @@ class ProgramQueue:
         return [entry.run.name for entry in self._entries]
 
     def watch(self) -> None:
-        """End goals that were cancelled or rejected. A rejected goal ends all goals after it."""
+        """Remove cancelled and rejected goals; a rejected goal also ends all goals after it."""
         for entry in list(self._entries):
             if entry not in self._entries:  # a goal before it was rejected
                 continue

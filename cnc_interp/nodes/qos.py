@@ -1,8 +1,8 @@
-"""Quality of service of every topic; those of ``run_program`` are rclpy's for actions."""
+"""Quality of service of every topic; ``run_program`` has rclpy's defaults for actions."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-DEPTH = 4096  #: Largest window that a node may be given, in messages.
+DEPTH = 4096  #: Largest window of a stream [messages].
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 
 
@@ -23,26 +23,25 @@ def listening_to(profile: QoSProfile) -> QoSProfile:
     return _last(DEPTH, profile.reliability, profile.durability)
 
 
-#: ``blocks``, ``block_batches``, ``segments``: deeper than any window, so nothing is overwritten.
-#: ``executed_setpoints``, ``axis_feedback``, ``followed_spindle``: the record
-#: of a run must be complete.
+#: ``blocks``, ``block_batches``, ``segments``: no window is larger, so no message is overwritten.
+#: ``executed_setpoints``, ``axis_feedback``, ``followed_spindle``: a record must be complete.
 STREAM = _last(DEPTH)
-#: ``setpoints``: 5 s with chunks of 5 ms; a stop tail may have 100 kB, and a slow recorder keeps
-#: all of them in memory.
+#: ``setpoints``: 5 s of chunks of 5 ms. It is not more, because a stop tail may have 100 kB and
+#: a slow recorder keeps all messages in memory.
 SETPOINTS = _last(1024)
-STATUS = _last(64)  #: ``stream_status``: an acknowledgement supersedes the one before.
-STATE = _last(64)  #: ``machine_state``: changes of state must arrive.
-MARKERS = _last(16)  #: ``markers``: profile of RViz; all is sent again to a new subscriber.
-#: ``blocks``, ``block_batches``, ``executed_setpoints`` for viewers: no sender waits for them.
+STATUS = _last(64)  #: ``stream_status``: the latest acknowledgement replaces earlier ones.
+STATE = _last(64)  #: ``machine_state``: every change of the state must arrive.
+MARKERS = _last(16)  #: ``markers``: profile of RViz; a new subscriber gets all markers again.
+#: Viewers of ``blocks``, ``block_batches``, ``executed_setpoints``: no sender waits for a viewer.
 LISTENING = _last(DEPTH, BEST_EFFORT)
 JOINTS = _last(10)  #: ``joint_states``: profile of RViz and recorders.
-TRAJECTORY = _last(1)  #: Trajectories of ``drives: trajectory``: each replaces the one before.
-#: Controller feedback: compatible with every publisher of joint states.
+TRAJECTORY = _last(1)  #: Trajectories: the latest one replaces earlier ones.
+#: Joint states of a controller: compatible with every publisher.
 FEEDBACK = _last(64, BEST_EFFORT)
 DIAGNOSTICS = _last(64)  #: ``/diagnostics``: profile of aggregators.
-#: ``loaded_program``, ``setup_table``, ``modal_state``, ``active_modes``: kept for later
-#: subscribers.
+#: ``loaded_program``, ``setup_table``, ``modal_state``, ``active_modes``: later subscribers get
+#: the last message.
 LOADED = _last(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-CONTACTS = _last(64)  #: ``probe_contact``: every one must arrive.
+CONTACTS = _last(64)  #: ``probe_contact``: every contact must arrive.
 OVERRIDE = _last(10)  #: Overrides: profile of ``ros2 topic pub``.
 BEATS = _last(1, BEST_EFFORT)  #: ``jog``: a lost beat must not be resent.

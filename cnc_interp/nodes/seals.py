@@ -1,4 +1,4 @@
-"""Topics between the nodes: messages are sealed, and unsealed messages are ignored."""
+"""Topics between the nodes: messages are sealed, and messages without a seal are ignored."""
 
 import time
 from collections import Counter
@@ -12,10 +12,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from cnc_interp.nodes.node_main import WARN, Diagnostics
 from cnc_interp.wire.seals import SECOND, WAITS, KnownSender, Place, Seal, opened_seal
 
-UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node whose discovery is incomplete.
-#: Each stream with the node that receives it.
+UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Node name in ROS before discovery is complete.
+#: Stream -> the node that receives it.
 RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints': 'machine_node'}
-#: Sealed topics and their publishing nodes. On ``blocks`` any single publisher is accepted.
+#: Sealed topic -> the nodes that publish it. On ``blocks`` any node may publish, but only one.
 OWNERS: dict[str, tuple[str, ...]] = {
     'blocks': (),
     'block_batches': ('program_node',),
@@ -29,13 +29,13 @@ OWNERS: dict[str, tuple[str, ...]] = {
     'followed_spindle': ('machine_node',),
     'loaded_program': ('program_node',),
 }
-#: Topics whose messages carry their own numbers.
+#: Topics whose messages contain consecutive numbers.
 STREAMS = ('blocks', 'block_batches', 'segments', 'setpoints', 'executed_setpoints')
 UNSEALED = 'has no seal of these nodes'
 
 
 def publishers_of(node: Any, topic: str, owners: Collection[str] = ()) -> str:
-    """Return the names of nodes that publish on a topic without being its rightful publishers."""
+    """Return the names of nodes that publish on a topic, without its rightful ``owners``."""
     names = [info.node_name for info in node.get_publishers_info_by_topic(topic)]
     found = {name for name in names if name not in (*owners, UNKNOWN)}
     found = found or {f'a second {name}' for name in owners if names.count(name) > 1}
@@ -52,25 +52,25 @@ class SealedPublisher:
         self._seal = Seal(place_of(node, topic))
 
     def publish(self, message: Any) -> None:
-        """Seal a message, serialised or not, and publish it."""
+        """Seal and publish a message; it may already be serialised."""
         data = message if isinstance(message, bytes) else serialize_message(message)
         self._publisher.publish(self._seal.on(bytes(data)))
 
 
 class Heard(NamedTuple):
-    """A subscribed topic: message type, name, and quality of service."""
+    """A topic to subscribe to: message type, name, and quality of service."""
 
     kind: Any
     topic: str
     profile: QoSProfile
-    about: bytes = b''  #: Messages without these bytes are for others and are skipped.
+    about: bytes = b''  #: Messages without these bytes are skipped.
 
 
 class Ear:
-    """Reads one topic; it ignores, counts and reports messages without the seal of its sender.
+    """Subscribes to one topic; messages without a valid seal are ignored, counted and reported.
 
-    ``tell`` is called with the suspected sender. ``spoilt`` returns whether a message was damaged
-    in transit. ``read`` converts the bytes to the argument of ``take``.
+    ``tell`` is called with the suspected sender of an ignored message. ``spoilt`` returns whether
+    a message was damaged in transit. ``read`` converts the bytes to the argument of ``take``.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Ear:
         self._kind, self._topic, profile, self._about = heard
         self._place = place_of(node, self._topic)
         self._senders: dict[str, KnownSender] = {}
-        self.ignored: Counter[str] = Counter()  #: Number of ignored messages, by suspected sender.
+        self.ignored: Counter[str] = Counter()  #: Suspected sender -> ignored messages.
         self.subscription = node.create_subscription(
             self._kind, self._topic, self._hear, profile, raw=True
         )
@@ -148,7 +148,7 @@ def hear(
     tell: Callable[[str], object] = str,
     about: str = '',
 ) -> Ear:
-    """Process messages of the node that owns the topic, if they contain the text ``about``."""
+    """Call ``take`` with each message of the topic's owner that contains the text ``about``."""
     read = partial(deserialize_message, message_type=kind)
     heard = Heard(kind, topic, profile, about.encode())
     return Ear(node, heard, take, diagnostics, tell, read=read)

@@ -20,7 +20,7 @@ from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange
 from cnc_interp.wire.run_messages import setup_table
 
 FRESH = 2.0  #: Largest age of the machine's state for a touch-off [s].
-#: Tolerance within which the rotary axes are at zero [rad].
+#: Tolerance of rotary axes at zero [rad].
 AT_ZERO = 1e-9
 RUNNING = frozenset(('active offset', 'spindle'))
 
@@ -73,7 +73,7 @@ class SetupServices:
         self.use('', '', frozenset())
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:
-        """Change the table and publish it; return a text of the changes, or raise InterpError."""
+        """Change the table and publish it; return the changes as text, or raise InterpError."""
         told = self._table.apply(changes, who)
         if told:
             self._node.get_logger().info(f'{who}: {told}')

@@ -1,4 +1,4 @@
-"""Both ends of a stream as a ROS topic: checksum, window, checks, refusals, resending."""
+"""Both ends of a stream on a ROS topic: checksum, window, checks, refusals, resending."""
 
 import math
 import time
@@ -22,11 +22,11 @@ from cnc_interp.wire.run_messages import ends, run_id_of
 from cnc_interp.wire.seals import SIZE
 from cnc_interp.wire.window_protocol import WindowedReceiver, WindowedSender
 
-CHECKSUM = 4  #: Bytes of a checksum.
+CHECKSUM = 4  #: Length of a checksum [bytes].
 
 
 def sealed(message: Any) -> bytes:
-    """Serialise a message; its last field becomes a checksum of the preceding bytes."""
+    """Return a serialised message; its last field is a checksum of the preceding bytes."""
     message.checksum = 0
     data = serialize_message(message)
     return bytes(data[:-CHECKSUM]) + zlib.crc32(data[:-CHECKSUM]).to_bytes(CHECKSUM, 'little')
@@ -39,7 +39,7 @@ def is_spoilt(data: bytes) -> bool:
 
 
 def opened(data: bytes, kind: Any) -> Any:
-    """Read a message and compare its checksum, if given; StreamError if it was damaged."""
+    """Return a message from its bytes; StreamError if it has a checksum that does not match."""
     if hasattr(kind, 'checksum') and is_spoilt(data):
         text = 'a message was damaged in transit (checksum); it is resent'
         raise StreamError(text, Refusal.SPOILT)
@@ -50,10 +50,10 @@ def opened(data: bytes, kind: Any) -> Any:
         raise StreamError(text, Refusal.SPOILT) from None
 
 
-HEARTBEAT = 0.1  #: Time between acknowledgements when nothing happens [s].
+HEARTBEAT = 0.1  #: Time between acknowledgements if nothing has changed [s].
 SILENT = 1.0  #: A receiver counts as silent after this time without a message [s].
 STATUS_PERIOD = 0.01  #: Shortest time between two acknowledgements [s].
-#: Refusals that a receiver may send; others come from foreign nodes.
+#: Valid refusals of a receiver; a message with another one is from a foreign node.
 REFUSALS = frozenset(Refusal)
 
 
@@ -64,7 +64,7 @@ def hear_statuses(
     diagnostics: Diagnostics | None = None,
     tell: Callable[[str], object] = str,
 ) -> Ear:
-    """Pass on the valid statuses of the receiver of a stream, or of each receiver."""
+    """Call ``take`` with each valid status of the receiver of ``stream``, by default of all."""
 
     def see(status: StreamStatus) -> None:
         if status.stream == (stream or status.stream) and status.refusal_kind in REFUSALS:
@@ -74,7 +74,7 @@ def hear_statuses(
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
-    """Return run, first number and count of a message, and whether it begins a plan."""
+    """Return run, first item number and number of items, and whether the message begins a plan."""
     if isinstance(message, SetpointChunk):
         first, count = message.first_sample, len(message.sequences)
         return run_id_of(message), first, count, first == 0 or message.joins
@@ -126,7 +126,7 @@ class Inlet:
             self._publish(self.receiver.run_id, refusal_kind=Refusal.FOREIGN, refusal=sender)
 
     def _is_spoilt(self, kind: Any, data: bytes) -> bool:
-        """Request a message again if its checksum is wrong, sealed or not."""
+        """Return whether a message has a wrong checksum; if so, request it again."""
         for message in (data, data[:-SIZE]):
             try:
                 opened(message, kind)
@@ -218,7 +218,7 @@ class Inlet:
         self._on_refusal()
 
     def _name(self, level: bytes, kind: Refusal, reason: str, always: bool = False) -> None:
-        """Report a refusal in the diagnostics: the 1st, 2nd, 4th ... of each kind; all of runs."""
+        """Report a refusal in the diagnostics: the 1st, 2nd, 4th ... of a kind, or ``always``."""
         self._refused[kind] += 1
         if always or self._refused[kind].bit_count() == 1:
             self._named = level, reason
@@ -293,7 +293,7 @@ class Outlet:
 
     @property
     def unheard(self) -> float:
-        """Time for which the receiver has reported without acknowledging acceptable items [s]."""
+        """Time for which the receiver has reported, but acknowledged no item in its window [s]."""
         now, peer = time.monotonic(), self.peer
         closed = peer is not None and peer.window_limit <= peer.next_sequence
         closed = closed and run_id_of(peer) == self.sender.run_id
@@ -301,7 +301,7 @@ class Outlet:
         return now - max(self._speaks_since, self.sender.unanswered_since) if speaks else 0.0
 
     def join(self, run_id: RunId, first: int) -> None:
-        """Send a plan that joins the current one from a number on; the join can be taken back."""
+        """Begin a plan that joins the current one at item ``first``; see also ``take_back``."""
         self._before, self.sender = self.sender, WindowedSender(self.sender.resend_after)
         self.sender.begin(run_id, first, self._before.limit)
 

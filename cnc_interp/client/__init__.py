@@ -1,1 +1,1 @@
-"""The operator side: run, record, replay, and the page."""
+"""The operator's side: running, recording and replaying programs; commands of the page."""

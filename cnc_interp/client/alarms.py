@@ -1,4 +1,4 @@
-"""Alarms for the operator: warnings and errors of the nodes, and notices of the client."""
+"""Alarms for the operator: warnings and errors from the nodes, and notices from the client."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from threading import Lock
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-KEPT = 200  #: Number of alarms that are kept.
-COMPARED = 8  #: Number of earlier alarms that a new one is compared with.
-TOGETHER = 5.0  #: Reports of several parts of the nodes within this time share one cause [s].
-#: A number in a text that does not belong to a word: M5 and M6 differ.
+KEPT = 200  #: Number of alarms in the history.
+COMPARED = 8  #: Number of earlier alarms with which a new one is compared.
+TOGETHER = 5.0  #: A text that several sources report within this time is one alarm [s].
+#: Number in an alarm text, but not part of a word: M5 and M6 are different alarms.
 NUMBER = re.compile(r'\b\d+(\.\d+)?')
 LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 
@@ -25,7 +25,7 @@ LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 class Alarm:
     time: str  #: Time of day.
     level: str  #: Severity.
-    source: str  #: Node, and the part of it that reports.
+    source: str  #: Node, and its part that reports the alarm.
     message: str  #: What happened, and what to do.
     count: int = 1  #: Number of occurrences.
 
@@ -35,7 +35,7 @@ class Alarm:
 
 
 class AlarmList:
-    """The latest alarms; a repeated alarm is stored once, with its count; ``clock``: time [s]."""
+    """The latest alarms. A repeated alarm is stored once, with a count; ``clock`` returns [s]."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -63,7 +63,7 @@ class AlarmList:
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
     def forget(self, source: str) -> None:
-        """Drop the alarms of a source, because it is going to report all of them again."""
+        """Drop the alarms of a source, because it will report all of them again."""
         with self._lock:
             kept = [alarm for alarm in self._alarms if alarm.source != source]
             self._alarms = deque(kept, maxlen=KEPT)
@@ -87,7 +87,7 @@ class AlarmList:
         self._alarms.append(alarm)
 
     def hear(self, status: DiagnosticStatus) -> None:
-        """Store the current reports of one part of a node in place of its earlier ones."""
+        """Store the current report of one part of a node; it replaces the earlier one."""
         news = (status.level, status.message)
         if self._last.get(status.name) == news:
             return

@@ -1,4 +1,4 @@
-"""Bags (rosbag2, MCAP): every message of a run with its type and quality of service."""
+"""Bags (rosbag2, MCAP) with every message of a run; write, read and repair them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cnc_interp.core import InterpError, StreamError, small_files
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.streams import is_spoilt, opened
 
-#: Recorded topics: name, type, quality of service.
+#: Recorded topic -> message type, and quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'loaded_program': (msg.LoadedProgram, qos.LOADED),
     'setup_table': (msg.SetupTable, qos.LOADED),
@@ -43,7 +43,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
 #: Topics whose messages end with a checksum.
 SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
 PARAMETER = 'parameter.'  #: Prefix of node parameters in the custom data of a bag.
-NOTED = 'noted.json'  #: File with the custom data of a bag that is not closed yet.
+NOTED = 'noted.json'  #: File beside an open bag, with its custom data.
 ENDLESS = interfaces.QosTime(2147483647, 4294967295)
 
 
@@ -53,7 +53,7 @@ def type_name(kind: Any) -> str:
 
 
 def types() -> Any:
-    """Return the message types that a bag describes, together with those of this package."""
+    """Return a type store with ROS's message types and those of this package."""
     store = get_typestore(Stores.ROS2_JAZZY)
     try:
         folder = small_files.share_directory('cnc_interp_msgs') / 'msg'
@@ -66,7 +66,7 @@ def types() -> Any:
 
 
 def offered(profile: QoSProfile) -> interfaces.Qos:
-    """Describe a quality of service for the metadata, so that a player offers the same."""
+    """Return a quality of service in the form of bag metadata; players then offer the same."""
     return interfaces.Qos(
         interfaces.QosHistory.KEEP_LAST,
         profile.depth,
@@ -81,22 +81,22 @@ def offered(profile: QoSProfile) -> interfaces.Qos:
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise InterpError if something already exists at the path of a new bag."""
+    """Raise InterpError if ``path``, where a new bag is to be written, already exists."""
     if path.exists():
         raise InterpError(f'{path} exists already; name a new folder for the bag')
 
 
-LOST_AT_MOST = 1_000_000_000  #: Longest time that is lost if the recorder is killed [ns].
+LOST_AT_MOST = 1_000_000_000  #: If the recorder is killed, at most this time is lost [ns].
 
 
 class BagWriter:
-    """A bag being written; ``close`` makes it complete."""
+    """A bag that is being written; ``close`` completes it."""
 
     def __init__(self, path: Path):
         refuse_existing(path)
         self.count = 0
         self._path, self._noted = path, dict[str, str]()
-        self.fault: OSError | None = None  #: Error after which nothing more is written.
+        self.fault: OSError | None = None  #: Error that ended writing.
         self._stored_at = 0  # stamp [ns] up to which all messages are in the file
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -116,7 +116,7 @@ class BagWriter:
         self.keep({f'{PARAMETER}{node}.{k}': json.dumps(v) for k, v in parameters.items()})
 
     def keep(self, noted: dict[str, str]) -> None:
-        """Store custom data: beside the bag at once, and in the bag when it is closed."""
+        """Store custom data in a file beside the bag now, and in the bag when it is closed."""
         self._noted |= noted
         for name, value in noted.items():
             self._writer.set_custom_data(name, value)
@@ -126,7 +126,7 @@ class BagWriter:
             self.fault = fault
 
     def write(self, topic: str, data: bytes, stamp: int) -> None:
-        """Write a serialised message with the time [ns] at which it came; see ``close``."""
+        """Write a serialised message and its time of arrival [ns]; for errors see ``close``."""
         if self.fault is None:
             try:
                 self._writer.write(self._connections[topic], stamp, data)
@@ -140,9 +140,9 @@ class BagWriter:
                 self.fault = fault
 
     def close(self) -> None:
-        """Write index and metadata.
+        """Write the index and the metadata of the bag.
 
-        Raises OSError if this or a message could not be written: the disk is full.
+        Raises OSError if they or a message could not be written, because the disk is full.
         """
         try:
             if self.fault is not None:
@@ -155,7 +155,7 @@ class BagWriter:
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the files of a bag; raise unless all are regular files with plain YAML metadata."""
+    """Return the files of a bag; raise unless all are regular files and its YAML is plain."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     files = [file for file in files if file.suffix in ('.mcap', '.db3', '.yaml', '.zstd')]
     for file in files:
@@ -168,14 +168,14 @@ def files_of(path: Path) -> list[Path]:
 
 
 def why(fault: Exception) -> str:
-    """Return a one-line reason why a file cannot be read."""
+    """Return in one line why a file cannot be read, from the exception."""
     if isinstance(fault, MemoryError):
         return 'it would unpack to far more than a file of this size can contain'
     return ' '.join(str(fault).split())[:200] or type(fault).__name__
 
 
 class SpooledMessages(Sequence[Any]):
-    """Messages in a temporary file; each is read when needed."""
+    """Messages in a temporary file; each one is read when it is needed."""
 
     def __init__(
         self,
@@ -201,7 +201,7 @@ class SpooledMessages(Sequence[Any]):
 
 
 class Bag:
-    """A bag opened for reading; opening and reading raise InterpError if it is damaged."""
+    """A bag that is opened for reading; raises InterpError if the bag is damaged."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -226,7 +226,7 @@ class Bag:
             raise InterpError(f'{path}: not a bag that can be read ({reason})') from None
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
-        """Yield topic, time [ns] and bytes of the messages of some topics, ordered by time."""
+        """Yield topic, time [ns] and bytes of each message of ``topics``, in the order of time."""
         names = {f'/{topic.removeprefix("/")}': topic for topic in topics}
         reader = self._reader
         assert reader is not None
@@ -243,26 +243,26 @@ class Bag:
         return list(self.messages(topic))
 
     def machine(self, other: str | None = None) -> str:
-        """Return the machine of the nodes, unless the user names another one."""
+        """Return the machine that the user names (``other``), else that of the recorded nodes."""
         name = other or str(self.parameters.get('machine_node.machine', ''))
         if not name:
             raise InterpError(f'{self.path}: does not name the machine; name it with --machine')
         return name
 
     def messages(self, topic: str) -> Iterator[Any]:
-        """Yield all valid messages of a topic, one at a time."""
+        """Yield all undamaged messages of a topic, one at a time."""
         sound = (self.sound(topic, data) for _, _, data in self.raw(topic))
         return (message for message in sound if message is not None)
 
     def sound(self, topic: str, data: bytes) -> Any:
-        """Return a message; None if it was damaged in transit (it was then resent)."""
+        """Return a message from its bytes; None if it was damaged in transit and then resent."""
         try:
             return self.message(topic, data)
         except StreamError:
             return None
 
     def spooled(self, topic: str) -> SpooledMessages:
-        """Return all valid messages of a topic, stored in a temporary file."""
+        """Return all undamaged messages of a topic, stored in a temporary file."""
         file, ends = tempfile.TemporaryFile(), array('q', [0])  # noqa: SIM115
         try:
             for _, _, data in self.raw(topic):
@@ -276,7 +276,7 @@ class Bag:
         return SpooledMessages(file, ends, lambda data: self.message(topic, data))
 
     def message(self, topic: str, data: bytes) -> Any:
-        """Return a message.
+        """Return a message from its bytes.
 
         Raises StreamError if its checksum is wrong, and InterpError if it is not a message of this
         topic.
@@ -308,16 +308,16 @@ class Bag:
 
 
 def repair(path: Path, out: Path) -> tuple[int, float]:
-    """Write a valid bag with the messages of a bag whose recorder was killed.
+    """Write the messages of a bag whose recorder was killed to a valid bag.
 
     Returns
     -------
-        Number of messages, and the time from the first to the last one [s].
+        Number of messages, and time from the first to the last message [s].
 
     Raises
     ------
     InterpError
-        If there is no message, or ``out`` exists.
+        If the bag has no message, or if ``out`` exists.
     """
     from mcap.records import Channel, Message
 
@@ -343,7 +343,7 @@ def repair(path: Path, out: Path) -> tuple[int, float]:
 
 
 def _whole_records(file: Path) -> Iterator[Any]:
-    """Yield the records of a file up to its end, or up to the first incomplete one."""
+    """Yield the MCAP records of a file up to its end or to the first incomplete record."""
     from mcap.stream_reader import StreamReader
 
     with file.open('rb') as stream:

@@ -1,8 +1,8 @@
 """Compare the executed setpoints of a run with everything else in its record.
 
-Every executed setpoint must be, bit for bit, the next one that was sent to the machine, or the
-next one of the stop tail of the preceding chunk. Motion by hand, at a hold or after a stop, is
-exempt: it was not sent as setpoints, and its limits are checked separately.
+Every executed setpoint must agree, bit for bit, with the next one that was sent to the machine, or
+with the next one of the current stop tail. Motion by hand at a hold or after a stop is excluded,
+because it was not sent as setpoints. Its limits are checked separately.
 """
 
 from bisect import bisect_right
@@ -23,26 +23,26 @@ from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.wire.run_messages import run_id_of
 
-#: Chunks after which the machine waits for cycle_start.
+#: Values of ``wait`` of chunks after which the machine waits for cycle_start.
 OPERATOR_WAITS = (SetpointChunk.PROGRAM_STOP, SetpointChunk.OPTIONAL_STOP, SetpointChunk.APPROACH)
-#: Tolerance of the place of a contact: the acceleration within its period [m, rad].
+#: Tolerance of a contact position, because axes accelerate within its period [m, rad].
 AT_CONTACT = 1e-6
 S, BLOCK, LINE = -3, -2, -1  #: Columns of ``rows_of``.
-#: A plan must follow overrides reported within this time before its setpoints [s].
+#: A plan must use overrides that were reported at most this long before its setpoints [s].
 OBEYED = 1.5
 
 
 class Follower:
-    """Matches executed setpoints with the sent ones; ``faults`` holds at most one per plan."""
+    """Compares executed setpoints with sent ones; ``faults`` has at most one fault per plan."""
 
     def __init__(self, sent: SentSetpoints):
         self._sent = sent
         self.faults: list[str] = []
-        self.run_id = NO_RUN  #: Plan being executed.
+        self.run_id = NO_RUN  #: Plan that is being executed.
         self.count = 0  #: Number of executed setpoints.
-        #: Numbers of executed setpoints after which the machine waited for cycle_start.
+        #: Counts of executed setpoints at which the machine waited for cycle_start.
         self.waits: list[int] = []
-        self.ended = False  #: Whether the last setpoint is the end of the program.
+        self.ended = False  #: Whether the last setpoint ends the program.
         self._number = 0  # of the next setpoint of the plan
         self._tail: FloatArray | None = None  # the rest of the stop tail
         self._by_hand = self._lost = False  # how far the plan is compared
@@ -76,7 +76,7 @@ class Follower:
         self._tail, self._by_hand, self._lost = None, False, False
 
     def _close(self) -> None:
-        """Check that the preceding plan was left at rest, after a complete stop tail."""
+        """Check that the preceding plan ended at rest, with a complete stop tail if any."""
         if not self._lost and (not self._rests or (self._tail is not None and len(self._tail))):
             self._fault('the machine left it in motion')
 
@@ -87,7 +87,7 @@ class Follower:
             self._fault('it did not reach the end that was sent')
 
     def _step(self, rows: FloatArray) -> int:
-        """Return how many setpoints were matched; 0 if another alternative is tried next."""
+        """Return how many leading rows agree with one source; after 0, call again for the next."""
         if self._by_hand:
             by_hand = rows[:, BLOCK] == 0
             count = len(rows) if by_hand.all() else int(np.argmin(by_hand))
@@ -130,7 +130,7 @@ class Follower:
 
 
 def _leading(rows: FloatArray, expected: FloatArray) -> int:
-    """Return the number of leading rows that are as expected."""
+    """Return how many leading rows equal the expected ones."""
     n = min(len(rows), len(expected))
     if rows.shape[1] != expected.shape[1]:
         return 0
@@ -139,7 +139,7 @@ def _leading(rows: FloatArray, expected: FloatArray) -> int:
 
 
 def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
-    """Compare executed setpoints with the sent ones and with the reports of the machine."""
+    """Return all faults: executed setpoints against sent ones, and against machine reports."""
     sent = run.sent
     errors = Transform.of(machine).errors
     follower, told = Follower(sent), ToldStates(bag, run, errors)
@@ -159,7 +159,7 @@ def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
 
 
 class ToldStates:
-    """States of the machine; each must agree with the setpoints executed by then."""
+    """Recorded machine states; each must agree with the setpoints executed until then."""
 
     def __init__(self, bag: Bag, run: RecordedRun, errors: ErrorMap):
         self._errors = errors
@@ -185,7 +185,7 @@ class ToldStates:
         self._wrong: list[str] = []
 
     def compare(self, count: int, rows: FloatArray, axes: int) -> None:
-        """Compare the states that were reported while some setpoints were executed."""
+        """Compare the machine states reported while these setpoints were executed with them."""
         for block, number in zip(*self._changes(rows[:, BLOCK], count), strict=True):
             if self._block > 0:
                 crossed = [stop for stop in self._stops if self._block <= stop < block]
@@ -210,7 +210,7 @@ class ToldStates:
                 self._wrong.append(f'{text} the executed setpoint')
 
     def compare_overrides(self, count: int, rows: FloatArray, plan: OperatorSettings) -> None:
-        """Check that the plan follows overrides that were reported shortly before."""
+        """Check that a plan uses no larger overrides than those reported shortly before it."""
         first = max(bisect_right(self._told_at, count - self._obeyed) - 1, 0)
         last = bisect_right(self._told_at, count + len(rows))
         told = self._told[first:last]
@@ -252,7 +252,7 @@ class ToldStates:
 
 
 class FeedbackRecord:
-    """Actual positions: a row for each executed setpoint, and the places of contacts."""
+    """Recorded actual positions: one for each executed setpoint, and those of probe contacts."""
 
     def __init__(self, bag: Bag, run: RecordedRun, errors: ErrorMap):
         self._errors = errors
@@ -296,7 +296,7 @@ class FeedbackRecord:
 
 
 def _distance(way: FloatArray, point: FloatArray) -> float:
-    """Return the largest coordinate distance from the nearest place of a polyline."""
+    """Return the distance of a point from a polyline: its largest coordinate."""
     step = np.diff(way, axis=0, append=way[-1:])
     length = np.maximum((step**2).sum(axis=1), 1e-300)
     share = np.clip(((point - way) * step).sum(axis=1) / length, 0.0, 1.0)
@@ -304,7 +304,7 @@ def _distance(way: FloatArray, point: FloatArray) -> float:
 
 
 def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
-    """Compare the functions sent with segments and setpoints with those of the program."""
+    """Return faults: the functions in segments and setpoints must be those of the program."""
     sent = [function for block in run.blocks for function in block.functions]
     topics = {
         'segments': iter(run.segments),
@@ -330,7 +330,7 @@ def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[s
 
 
 def _faults_of_program(bag: Bag, run: RecordedRun) -> list[str]:
-    """Compare the program announced as loaded with the blocks that were sent."""
+    """Return faults: the loaded program must agree with the blocks that were sent."""
     loaded = [m for m in bag.messages('loaded_program') if m.program_id == run.program_id]
     if not loaded:
         return ['the record has no loaded_program of the run; record from before the start']

@@ -1,4 +1,4 @@
-"""Motion by hand from the command line: moves, homing and MDI lines, each with its result."""
+"""Motion by hand from the command line: moves, homing and MDI lines, and their results."""
 
 import math
 import time
@@ -18,9 +18,9 @@ from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Axis, Machine, place_text
 
 PATIENCE = 10.0  #: Longest wait for the nodes [s].
-CERTAIN = 20  #: Homing is not in progress after this many states in which the machine rests.
-POSE = 'XYZIJK'  #: Letters of a pose: the tool tip in the workpiece, then the tool axis.
-THERE = 1e-6  #: A move this near to its target has arrived [m, rad].
+CERTAIN = 20  #: Homing has ended after this many reports of a resting machine.
+POSE = 'XYZIJK'  #: Letters of a pose: tool tip in the workpiece, then tool axis.
+THERE = 1e-6  #: A move nearer to its target than this has arrived [m, rad].
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Ended:
 
 
 def pose_request(values: dict[str, float], speed: float, length: float = MM) -> MoveAxes.Request:
-    """Return the request to move the tool to a pose; letters not named keep their value."""
+    """Return the request that moves the tool to a pose; letters without a value stay."""
     request = MoveAxes.Request(speed=speed)
     request.tip = [values.get(name, math.nan) * length for name in POSE[:3]]
     if set(values) & set(POSE[3:]):
@@ -72,7 +72,7 @@ def connected(
 def move_by_hand(
     namespace: str, domain: int | None, values: dict[str, float], pose: bool, **fields: Any
 ) -> Ended:
-    """Move axes [mm, deg], or to a pose, and wait; Ctrl-C stops them. InterpError if rejected."""
+    """Move axes [mm, deg], or to a pose, and wait. Ctrl-C stops them; InterpError if rejected."""
     request = pose_request(values, fields['speed']) if pose else MoveAxes.Request(**fields)
     with connected('jog', namespace, domain) as (client, machine):
         for name, value in values.items() if not pose else ():
@@ -86,7 +86,7 @@ def move_by_hand(
 
 
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
-    """Home axes, by default all; return those still not homed. InterpError if rejected."""
+    """Home axes, by default all; return the axes that are not homed. InterpError if rejected."""
     with connected('home', namespace, domain, lambda one: one.offers('home')) as (client, machine):
         client.granted(client.ask('home', axes=list(axes)))
         wanted = set(axes or machine.homing.switches)
@@ -143,12 +143,12 @@ def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
             return Ended(machine.axes, position, arrived, 'there' if arrived else short)
 
 
-PER_TURN = 1e-3  #: Unit of the feedrate with G95, as it is shown [m].
-MOST = 100  #: Number of lines that are remembered.
+PER_TURN = 1e-3  #: Unit in which a feed per revolution (G95) is shown [m].
+MOST = 100  #: Number of lines in the history.
 
 
 class LineHistory:
-    """The lines entered so far, latest first, shared by all pages."""
+    """The MDI lines entered so far, latest first; all pages share them."""
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque(maxlen=MOST)
@@ -158,7 +158,7 @@ class LineHistory:
             self._lines.appendleft(line)
 
     def at(self, age: int) -> tuple[int, str]:
-        """Return the line of an age, and this age within the history; an empty line for -1."""
+        """Return an age limited to the history, and its line; 0: the latest, -1: an empty line."""
         age = max(-1, min(age, len(self._lines) - 1))
         return age, self._lines[age] if age >= 0 else ''
 
@@ -197,9 +197,9 @@ class LineEnd:
 
 
 def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:
-    """Execute lines until one is rejected, and yield their results.
+    """Execute MDI lines until one is rejected, and yield the result of each.
 
-    Without lines, yield the modal state.
+    Without lines, yield one result with the modal state.
     """
     with connected('mdi', namespace, domain, lambda one: not one.silent and bool(one.modes)) as (
         client,

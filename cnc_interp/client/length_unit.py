@@ -1,4 +1,4 @@
-"""Units in which positions and feeds are shown: millimetres, or inches on a page."""
+"""Units in which positions and feeds are shown: millimetres, or inches on the page."""
 
 from dataclasses import dataclass
 
@@ -12,11 +12,11 @@ class LengthUnit:
     """A unit of length; angles are always in degrees."""
 
     name: str
-    size: float  #: [m]
+    size: float  #: Length of the unit [m].
     #: Number of decimals of a position, and of a feed.
     digits: int
     feed_digits: int
-    #: Speeds of motion by hand in this unit or degrees per minute, slow to fast.
+    #: Jog speeds in this unit or degrees per minute, from slow to fast.
     speeds: tuple[str, ...]
     steps: tuple[str, ...]  #: Jog steps in this unit or degrees.
 
@@ -40,7 +40,7 @@ class LengthUnit:
         return f'{self.per_minute(speed):.{self.feed_digits}f}'
 
     def named(self, text: str) -> str:
-        """Return a text with mm replaced by this unit."""
+        """Return a text in which mm is replaced by this unit."""
         return text.replace('mm', self.name)
 
 

@@ -1,4 +1,4 @@
-"""The operator's end of the ROS interface: listens to the nodes, sends programs and commands."""
+"""The operator's ROS node: listens to the other nodes, and sends programs and commands."""
 
 import math
 import threading
@@ -40,8 +40,8 @@ from cnc_interp.run.run_history import RunHistory
 
 __all__ = ['STOPS', 'SWITCHES', 'Answer', 'MachineState', 'OperatorClient']
 
-SWITCHES = ('single_block', 'optional_stop')  #: Stop at the end of each line; stop at M1.
-#: Commands: names of their services, with the node for those that the machine does not offer.
+SWITCHES = ('single_block', 'optional_stop')  #: Switches: stop after each line; stop at M1.
+#: Command (name of its service) -> type of the service.
 SERVICES = {
     **dict.fromkeys(('cycle_start', 'feed_hold', 'reset', 'emergency_stop'), Trigger),
     **dict.fromkeys(SWITCHES, SetBool),
@@ -57,16 +57,16 @@ OFFERED_BY = {
     'optional_stop': 'feedrate_node',
     **dict.fromkeys(('set_offset', 'set_tool', 'touch_off'), 'program_node'),
 }
-#: Commands that may safely arrive twice or late; they are resent until answered.
+#: Commands that do no harm if they arrive twice or late; they are resent until answered.
 STOPS = ('feed_hold', 'emergency_stop')
-#: Silence after which a node counts as lost, and longest wait for an answer [s].
+#: After the first time without a message, a node is lost; longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
-CALM = 1.0  #: Longest wait for an event while no answer is awaited [s].
-ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
+CALM = 1.0  #: Longest wait for an event if no request is pending [s].
+ECHO = 10.0  #: Longest time until the machine reports an override of this client [s].
 
 
 class SharedValue:
-    """The latest value on a topic; a value sent from here is kept for ``patience``."""
+    """The latest value on a topic. A value sent by this client applies for ``patience`` [s]."""
 
     def __init__(self, value: float, patience: float):
         self._heard, self._patience = value, patience
@@ -74,7 +74,7 @@ class SharedValue:
         self._until = 0.0
 
     def wish(self, value: float, now: float) -> None:
-        """Record a value sent from here at the time ``now`` [s]."""
+        """Record a value that this client sends at the time ``now`` [s]."""
         if now >= self._until:
             self._wishes.clear()
         if value != self.at(now):
@@ -82,7 +82,7 @@ class SharedValue:
             self._until = now + self._patience
 
     def hear(self, value: float) -> None:
-        """Record a received value: values that were sent before it are superseded."""
+        """Record a received value; a sent value equal to it, and all earlier ones, are dropped."""
         if value == self._heard:
             return
         if value in self._wishes:
@@ -102,7 +102,7 @@ class Answer:
 
 
 class OperatorClient(ServedNode):
-    """A ROS node of its own, served by ``serve`` or by a thread (``start``).
+    """The ROS node of an operator, served by ``serve`` or by a thread (``start``).
 
     Commands may come from any thread. ``on_state`` is called with every ``MachineState``, in the
     thread that serves the node.
@@ -125,7 +125,7 @@ class OperatorClient(ServedNode):
         self.prepared: float | None = None  # progress of what the program waits for
         self.waits_for = ''  # what that is, in words
         self.tool_wanted: int | None = None  # the tool that the operator must put in
-        #: Distance of the tool tip from the end of its line after a single block [m].
+        #: Distance of the resting tip from the end of its line in single block [m].
         self.off_line_end: float | None = None
         self.uncompensated: float | None = None  # largest contour error of this run [m]
         self.program: LoadedProgram | None = None
@@ -133,11 +133,11 @@ class OperatorClient(ServedNode):
         self.active_modes: ModalState | None = None  # of the block that is executed
         self.signals: MachineSignals | None = None  # outputs and inputs of the machine
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
-        #: Names of two bodies that (would) hit each other, and a sentence, by reporting node.
+        #: Node -> two bodies of which it reports that they hit, or would hit, and its text.
         self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
         self.machine = self.scene = self.setup_file = ''
         self.history = RunHistory('')
-        self.stock = ''  #: Text about the stock removed in the run, if its scene has a stock.
+        self.stock = ''  #: Text about the stock removed so far, if there is one.
         self._on_state = on_state
         watch_machine(node, self._see_state)
         for kind, topic, name in (
@@ -172,7 +172,7 @@ class OperatorClient(ServedNode):
         return self.peers.state
 
     def silent_for(self, patience: float) -> str:
-        """Return the name of a node that has been silent for this time [s]; empty if none."""
+        """Return the name of a node that has sent nothing for ``patience`` [s]; '' if none."""
         missing = self.peers.missing(time.monotonic(), patience)
         return missing if missing or self.takes_programs else 'program_node'
 
@@ -193,7 +193,7 @@ class OperatorClient(ServedNode):
         self._on_state(state)
 
     def _see_alarms(self, array: DiagnosticArray) -> None:
-        """Store alarms, waiting programs, the progress of the next one's check, and errors."""
+        """Store what diagnostics report: alarms, queued programs, progress, hits and errors."""
         for status in array.status:
             if status.hardware_id != self.namespace:
                 continue
@@ -247,7 +247,7 @@ class OperatorClient(ServedNode):
     def run(
         self, goal: RunProgram.Goal, on_result: Callable[[RunProgram.Result], None] | None = None
     ) -> SentProgram:
-        """Send a program from the thread that serves the node; it starts after earlier ones."""
+        """Send a program, from the thread that serves the node; earlier programs run first."""
         sent = SentProgram(self._action, goal, len(self._sent))
         self._sent.append(sent)
 
@@ -268,7 +268,7 @@ class OperatorClient(ServedNode):
         goal: RunProgram.Goal,
         on_result: Callable[[RunProgram.Result], None] = lambda _: None,
     ) -> Future[Answer]:
-        """Send a program from any thread; return when it is accepted. Its end becomes an alarm."""
+        """Send a program from any thread; return if it is accepted. Its end becomes an alarm."""
 
         def see_result(result: RunProgram.Result) -> None:
             good = result.code == RunProgram.Result.SUCCEEDED
@@ -298,7 +298,7 @@ class OperatorClient(ServedNode):
         answer: Callable[[SentProgram], Answer | None],
         on_result: Callable[[RunProgram.Result], None] | None = None,
     ) -> Future[Answer]:
-        """Send a program; ``answer`` is called repeatedly to read the answers."""
+        """Send a program; ``answer`` is called repeatedly until it returns an answer."""
         wanted: Future[Answer] = Future()
 
         def send() -> None:
@@ -327,10 +327,10 @@ class OperatorClient(ServedNode):
         return len(found)
 
     def ask(self, name: str, request: Any = None, **fields: Any) -> Future[Answer]:
-        """Call a service; a stop is resent until it is answered.
+        """Call a service. The commands in ``STOPS`` are resent until they are answered.
 
-        All other requests are sent once, right after their node has answered a question. A node
-        that has not yet discovered this client would act, but its answer would be lost.
+        All other requests are sent once, after their node has answered a harmless request. A node
+        that has not discovered this client would execute a request, but its answer would be lost.
         """
         wanted: Future[Answer] = Future()
         client, request = self._services[name], request or SERVICES[name].Request(**fields)

@@ -1,8 +1,8 @@
-"""Requests that are resent until they are answered: calls of services, and programs.
+"""Requests that are resent until they are answered: service calls, and programs.
 
-An answer is lost if a node received the request before it had discovered the reader of answers,
-and a killed node never answers. A goal keeps its id, so it cannot run twice. The result of a goal
-is requested repeatedly too, because a restarted node may not know the goal and then says so.
+An answer is lost if the node received the request before it discovered the client's reader of
+answers. A killed node never answers. A resent goal keeps its id, so it cannot run twice. The
+result of a goal is also requested repeatedly: a restarted node answers that the goal is unknown.
 """
 
 import math
@@ -13,12 +13,12 @@ from typing import Any
 from cnc_interp_msgs.action import RunProgram
 from unique_identifier_msgs.msg import UUID
 
-#: Default time without an answer after which a request is resent [s].
+#: Default time until an unanswered request is resent [s].
 AGAIN = 0.5
 
 
 class Question:
-    """One request, sent as often as needed."""
+    """One service request, resent until it is answered."""
 
     def __init__(self, client: Any, request: Any, again: float = AGAIN):
         self._client, self._request, self._again = client, request, again
@@ -26,7 +26,7 @@ class Question:
         self._sent_at = -math.inf
 
     def answer(self) -> Any | None:
-        """Return the response, None while there is none; call it repeatedly."""
+        """Return the response, or None while there is none; call this repeatedly."""
         for future in self._sent:
             if future.done():
                 self.drop()
@@ -43,8 +43,8 @@ class Question:
             self._client.remove_pending_request(future)
 
 
-GOAL_AGAIN = 1.0  #: Time without an answer after which a goal is resent [s].
-#: Longest time between two requests for its result [s]; a node keeps results for ten seconds.
+GOAL_AGAIN = 1.0  #: Time until an unanswered goal is resent [s].
+#: Longest time between requests for a result [s]; nodes store results for ten seconds.
 SELDOM = 8.0
 
 
@@ -71,10 +71,10 @@ class SentProgram:
         self.feedback = message.feedback
 
     def follow(self) -> None:
-        """Read an answer, or resend the goal or the request for its result; call repeatedly.
+        """Read answers; resend the goal, or the request for its result. Call this repeatedly.
 
-        A second copy of the goal is answered "not accepted", because the first one runs. So only
-        the first answer counts.
+        Only the first answer counts: a second copy of the goal is answered "not accepted", because
+        the first one is running.
         """
         now = time.monotonic()
         if self.handle is not None:

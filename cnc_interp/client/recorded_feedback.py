@@ -1,4 +1,4 @@
-"""Setpoints and feedback of the last run in a bag, and learning from a compensated run."""
+"""Read setpoints and feedback of the last run in a bag; learn from a compensated run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,20 +17,20 @@ from cnc_interp.wire.run_messages import run_id_of
 @dataclass(frozen=True)
 class RecordedFeedback:
     period: float  #: Interpolation period [s].
-    #: (K, n_axes): Commanded position and velocity, measured position [m, rad, per s].
+    #: (K, n_axes) each: setpoint and its velocity, and measured position [m, rad, per s].
     setpoint: FloatArray
     rate: FloatArray
     feedback: FloatArray
     block: IntArray  #: (K,): Block of each setpoint; 0 outside the program.
     plan: IntArray  #: (K,): Number of the plan of each setpoint.
     complete: bool  #: Whether the last setpoint ends the program.
-    program_id: str  #: The run.
+    program_id: str  #: Id of the run.
 
 
 def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine]:
-    """Read the last run in which the machine moved, including its approach.
+    """Return the last run with motion, including its approach, and the machine.
 
-    Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
+    Raises InterpError if nothing was executed, or if setpoints or feedback are incomplete.
     """
     # A message without positions only switches outputs.
     chunks = [m for m in bag.messages('executed_setpoints') if m.positions]
@@ -71,24 +71,23 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
     ), loaded
 
 
-#: States of a run that proceeds without a stop.
+#: Machine states during a run without a stop.
 ON_ITS_WAY = (MachineState.IDLE, MachineState.RUNNING)
-NAMES = ('machine', 'compensation', 'learnt')  #: Relevant parameters of the machine node.
+NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of machine_node that must agree.
 
 
 @dataclass(frozen=True)
 class Lesson:
-    motion: learning.LearntMotion  #: For the next run.
-    #: Error of the tip [m].
+    motion: learning.LearntMotion  #: What the drives use in the next run.
+    #: Largest and mean error of the tip in this run [m].
     largest: float
     mean: float
 
 
 def recorded_lesson(bag: Bag) -> Lesson:
-    """Learn from the last run in a bag.
+    """Return what the drives can learn from the last run in a bag.
 
-    Raises InterpError if the run was not compensated, or if it did not execute the plan in one
-    piece.
+    Raises InterpError if the run was not compensated, or if it was interrupted or replanned.
     """
     told = {name: str(bag.parameters.get(f'machine_node.{name}', '')) for name in NAMES}
     name, model, learnt = (told[key] for key in NAMES)
@@ -125,7 +124,7 @@ def recorded_lesson(bag: Bag) -> Lesson:
 
 
 def _rows_of_program(bag: Bag, run: RecordedFeedback) -> slice:
-    """Return the rows from the start of the program to its end; reject a run with stops."""
+    """Return the rows of the program; raise InterpError if the run was stopped in between."""
     if not run.complete:
         raise InterpError(f'{bag.path}: the run did not end as programmed; record a whole run')
     first = int(np.argmax(run.block > 0))

@@ -1,4 +1,4 @@
-"""A recorded run (blocks, segments and executed setpoints), and its conversion to plan files."""
+"""A recorded run: its blocks, segments and executed setpoints; convert it to plan files."""
 
 import copy
 from collections.abc import Iterable, Iterator, Sequence
@@ -42,28 +42,28 @@ from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import setpoints_from
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
-BATCH = 256  #: Number of segments converted together.
-#: Time after a join within which slowing down to a lower override begins [s].
+BATCH = 256  #: Number of segments that are converted in one call.
+#: Slowing down to a lower override begins within this time after a join [s].
 STOPS_WITHIN = 0.05
-#: Number of setpoints per grid point of the path, and shortest cell made from them [m].
+#: Every this many setpoints the path gets a grid point; and its shortest cell [m].
 GRID_EVERY, SHORTEST = 10, 1e-6
 
 
 @dataclass(frozen=True)
 class RecordedRun:
-    program_id: str  #: The run.
+    program_id: str  #: Id of the run.
     name: str  #: Name of the program.
-    machine: str  #: Machine with which the nodes were started; empty if the bag does not say.
-    blocks: list[G1Block]  #: The program, gap-free from the start pose.
-    segments: list[PathSegment]  #: The smoothed path, gap-free from its first segment.
-    #: Executed setpoints, in a file because a run may exceed the memory.
+    machine: str  #: Machine of the nodes; empty if it is not in the bag.
+    blocks: list[G1Block]  #: Blocks of the program, from the start pose, without gaps.
+    segments: list[PathSegment]  #: Segments from the first one, without gaps.
+    #: Executed setpoints; they are in a file, because a run may be larger than the memory.
     chunks: Sequence[SetpointChunk]
     sent: SentSetpoints  #: Setpoints sent to the machine.
-    #: Offsets and tools at its start, as the text of a setup file; may be empty.
+    #: Offsets and tools at the start of the run: text of a setup file, or ''.
     setup: str = ''
     followed: Sequence[FollowedSpindle] = ()  #: Motion in step with the spindle.
-    probed: int = 0  #: Source line that was ended by the probe; 0 if none.
-    #: Number of executed setpoints after which the operator held the machine for good, or -1.
+    probed: int = 0  #: Source line that the probe ended; 0 if none.
+    #: Count of executed setpoints at which the operator's last stop ended the run, or -1.
     held_at: int = -1
 
     @property
@@ -76,12 +76,12 @@ class RecordedRun:
 
     @property
     def cut(self) -> str:
-        """Text that says where the record ends early; empty if it is complete."""
+        """Where and how the record ends before the program does; '' if it is complete."""
         return self._order[1]
 
     @cached_property
     def _order(self) -> tuple[list[int], str]:
-        """Return the chunks in order, up to the first missing one, and how the record ends."""
+        """Return the indices of the chunks in order, up to the first gap; and ``cut``."""
         order: list[int] = []
         following, ended = 0, False
         last = next((chunk for chunk in self.chunks if len(chunk.sequences)), self.chunks[0])
@@ -108,14 +108,14 @@ class RecordedRun:
 
     @property
     def settings(self) -> Settings:
-        """Settings of the run, taken from its block 0."""
+        """Settings of the run, read from its block 0."""
         settings = settings_of_block(self.blocks[0], Settings())
         return replace(settings, interpolation_period=self.period)
 
     def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
-        """Yield the executed setpoints of the program, with times from its start.
+        """Yield the executed setpoints of the program; their times count from its start.
 
-        The approach is left out, and so are motions by hand away from a hold and back.
+        The approach and motions by hand during a hold are left out.
 
         Raises InterpError if a message is invalid, or if the period changes.
         """
@@ -128,7 +128,7 @@ class RecordedRun:
                 count += len(rows)
 
     def beside(self, machine: Machine) -> list[FloatArray]:
-        """Return the motions outside the program, from rest to rest, (K, n_axes) each [m, rad]."""
+        """Return the approach and other motions outside the program, (K, n_axes) each [m, rad]."""
         stretches: list[list[FloatArray]] = []
         before, inside = np.zeros((0, len(machine.axis_names))), True
         for part in self._executed(machine):
@@ -146,7 +146,7 @@ class RecordedRun:
         return [np.concatenate(stretch) for stretch in stretches]
 
     def executed(self) -> Iterator[SetpointChunk]:
-        """Yield the executed chunks in order, up to the first missing one."""
+        """Yield the executed chunks in order, up to the first gap."""
         return map(self.chunks.__getitem__, self._order[0])
 
     def _executed(self, machine: Machine) -> Iterator[Setpoints]:
@@ -162,10 +162,11 @@ class RecordedRun:
                 yield setpoints_from(chunk)
 
     def overrides(self) -> list[OverrideStep]:
-        """Return the overrides that were in effect for the setpoints of the program.
+        """Return the overrides that the setpoints of the program may use.
 
-        They are those of each plan. A plan that joins a faster one in motion may first slow down
-        on the path, up to the place where the faster plan could have stopped.
+        They are the overrides of the setpoint's plan. A plan that joins a faster one in motion
+        needs some path to slow down. There, until the faster plan could have stopped, the larger
+        overrides apply.
         """
         steps: list[OverrideStep] = []
         slowing: list[tuple[float, FloatArray]] = []  # end of slowing down, and overrides before
@@ -192,9 +193,9 @@ class RecordedRun:
         return steps
 
     def functions(self, machine: Machine) -> tuple[Functions, IntArray]:
-        """Return the functions of the program, and the setpoints at which they acted.
+        """Return the functions of the program, and for each the setpoint at which it acted.
 
-        Raises InterpError if one acted twice, or if another one acted in its place.
+        Raises InterpError if a function acted twice, or differs from the one that was sent.
         """
         sent = [function for block in self.blocks for function in block.functions]
         messages.check_functions('blocks', sent, machine.signals)
@@ -219,7 +220,7 @@ class RecordedRun:
                 yield path
 
     def start_row(self, machine: Machine, blocks: Blocks) -> int:
-        """Return the row that begins nearest to the end of the approach; 1 at the top."""
+        """Return the row whose start is nearest to the end of the approach; 1 for the top."""
         settings, first = self.settings, self.blocks[0]
         if not settings.from_line:
             return 1
@@ -238,9 +239,9 @@ class RecordedRun:
 
 
 def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
-    """Find a run in a bag by its id, or the last one in which the machine moved.
+    """Return the run in a bag with this id, by default the last run with motion.
 
-    Raises InterpError if nothing was executed, or blocks or segments are missing.
+    Raises InterpError if nothing was executed, or if blocks or segments are missing.
     """
     executed = bag.spooled('executed_setpoints')
     if not executed:
@@ -272,15 +273,15 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
 
 
 def ended_by_operator(state: MachineState) -> bool:
-    """Return whether the operator has held or stopped a run, and the machine rests in it."""
+    """Return whether the machine rests within a run because the operator stopped it."""
     stopped = state.state == MachineState.FAULT and state.reason == state.REASON_EMERGENCY_STOP
     return (state.state == MachineState.HELD or stopped) and not state.completed
 
 
 def programs_of(bag: Bag) -> list[list[str]]:
-    """Return the ids of all runs in which the machine moved, in order, grouped by program.
+    """Return the ids of all runs with motion in order, one list for each program.
 
-    A program with probes has one run per part; each part ends with the line of a probe.
+    A program with probes has several runs; each but the last ends with the line of a probe.
     """
     probing = {
         block.program_id
@@ -301,7 +302,7 @@ def programs_of(bag: Bag) -> list[list[str]]:
 
 
 def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
-    """Return the messages of one attempt at a run, in order and without repeats."""
+    """Return the messages of a stream for one attempt at a run, in order, without repeats."""
     sent: Iterable[Any]
     if stream == 'blocks':
         sent = chain(bag.read(stream), *map(messages.blocks_of, bag.read('block_batches')))
@@ -318,7 +319,7 @@ def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
 
 
 def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, Any]:
-    """Write the plan files of a recorded run, and return the summary."""
+    """Write the plan files of a recorded run to ``directory``; return the summary."""
     if next(run.setpoints(machine), None) is None:
         raise InterpError(f'{run.name}: the record ends before the program begins')
     way = ExecutedWay(run.setpoints(machine), run.period)
@@ -360,14 +361,14 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
 
 
 class ExecutedWay:
-    """The executed path positions, held for one part of the path at a time."""
+    """The executed path positions; in memory are those on one part of the path."""
 
     def __init__(self, setpoints: Iterator[Setpoints], period: float):
         self._setpoints, self._period = setpoints, period
         self._s, self._first = np.zeros(0), 0  # positions, and number of the first one
 
     def advance(self, first: float, last: float) -> None:
-        """Advance to the setpoints of a part of the path [m], with two more beyond each end."""
+        """Advance to the part from ``first`` to ``last`` [m]; two setpoints are added per end."""
         before = max(int(np.searchsorted(self._s, first)) - 2, 0)
         parts, beyond = [self._s[before:]], int(np.count_nonzero(self._s[before:] > last))
         while beyond < 2 and (part := next(self._setpoints, None)) is not None:
@@ -376,11 +377,11 @@ class ExecutedWay:
         self._s, self._first = np.concatenate(parts), self._first + before
 
     def some(self) -> FloatArray:
-        """Return the path position of every ``GRID_EVERY``-th setpoint [m]."""
+        """Return the path position [m] of every ``GRID_EVERY``-th setpoint in this part."""
         return self._s[-self._first % GRID_EVERY :: GRID_EVERY]
 
     def feed(self, s: FloatArray) -> FloatArray:
-        """Return the executed speed at positions of the part [m/s]."""
+        """Return the executed speed [m/s] at path positions ``s`` in this part [m]."""
         if len(self._s) < 2:
             return np.zeros(len(s))
         speed = np.gradient(self._s, self._period)
@@ -389,7 +390,7 @@ class ExecutedWay:
 
 
 def grid_points(path: AxisPath, s: FloatArray) -> FloatArray:
-    """Return the positions [m] that are far enough from cell ends and from each other."""
+    """Return the path positions of ``s`` [m] far enough from cell ends and from each other."""
     s = s[(s > path.s[0]) & (s < path.s[-1])]
     s = s[np.diff(s, prepend=-np.inf) > SHORTEST]
     after = np.searchsorted(path.s, s)

@@ -1,9 +1,9 @@
-"""Records the messages of a run into a bag, with the parameters of its nodes.
+"""Record the messages of a run in a bag, with the parameters of its nodes.
 
-Recording begins and ends with a handshake with every node. Parameters are requested after
-subscribing to the topics, so a node that answers knows the subscriptions. At the end every node
+Recording begins and ends with a handshake with every node. The recorder subscribes to the topics
+and then requests parameters, so a node that answers knows the subscriptions. At the end every node
 publishes its collected messages (``~/flush``). The recorder then waits for a later machine state,
-and for every executed setpoint that it counts.
+and for as many executed setpoints as this state counts.
 """
 
 import sys
@@ -31,7 +31,7 @@ from cnc_interp.processes.stop_signals import stop_signals
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
 
-#: Topics from which plan files can be written.
+#: Topics that are needed to write plan files.
 NEEDED = (
     'loaded_program',
     'blocks',
@@ -43,12 +43,12 @@ NEEDED = (
 
 
 def counting(message: Any) -> RunId:
-    """Return the run, or the motion by hand, to which the executed setpoints belong."""
+    """Return the id of the run, or of the motion by hand, that the machine state counts."""
     run_id = run_id_of(message)
     return run_id if run_id.program_id == JOG else RunId(run_id.program_id)
 
 
-#: Streams by topic: name of the numbered items, and how to get run, first number and count.
+#: Topic -> name of its items, and function that returns run, first number and count of items.
 NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[RunId, int, int]]]]] = {
     'block_batches': ('blocks', lambda m: [(run_id_of(b), b.sequence, 1) for b in m.blocks]),
     'segments': ('segments', lambda m: [(run_id_of(s), s.sequence, 1) for s in m.segments]),
@@ -62,20 +62,20 @@ NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[RunId, int, int]]]]] =
         lambda m: [(counting(m), m.first_sample, len(m.positions) // m.axis_count)],
     ),
 }
-#: Those whose items the machine counts in its state, instead of a receiver.
+#: Topics whose items are counted by the machine state; receivers count the others.
 EXECUTED = ('executed_setpoints', 'axis_feedback')
-#: Longest wait for the last messages [s]; DDS announces lost messages every 3 s.
+#: Longest wait for the last messages [s]; DDS announces messages every 3 s.
 LAST_WAIT = 10.0
 
 
 class StreamRecord:
-    """The numbers of the stream items in a record; resent items count once."""
+    """The numbers of the recorded items of a stream. Resent items count once."""
 
     def __init__(self, topic: str):
         self.name, self._numbers = NUMBERED[topic]
         self._spans: dict[RunId, list[tuple[int, int]]] = {}
         self._joins: dict[RunId, int] = {}  # first numbers of plans that join in motion
-        #: Number that the receiver had reached when it was first heard, and last heard.
+        #: Run -> number that its receiver had reached in its first and in its last message.
         self._received: dict[RunId, tuple[int, int]] = {}
 
     def add(self, message: Any) -> None:
@@ -87,13 +87,13 @@ class StreamRecord:
                 self._joins[run_id] = first
 
     def acknowledge(self, run_id: RunId, reached: int) -> None:
-        """Note that the stream has reached a number, which the record must then contain."""
+        """Note that a receiver has reached a number; all items before it must be recorded."""
         first, last = self._received.get(run_id, (reached, reached))
         self._received[run_id] = first, max(last, reached)
 
     @property
     def lost(self) -> int:
-        """Number of missing items of each plan, since plan or receiver was first heard."""
+        """Number of missing items, from the first message of each plan or its receiver."""
         lost = 0
         for run_id in self._spans.keys() | self._received.keys():
             spans = sorted(self._spans.get(run_id, []))
@@ -177,11 +177,11 @@ class Recorder:
 
     @property
     def fault(self) -> OSError | None:
-        """Error after which nothing more is recorded."""
+        """Error that has ended the recording, or None."""
         return self._bag.fault
 
     def ready(self) -> bool:
-        """Request the parameters of the nodes; return whether all know this subscriber."""
+        """Request the parameters of the nodes; return whether all nodes have answered."""
         for node in self._parameters.keys() - self._known:
             answer = self._parameters[node].answer()
             if answer is not None:
@@ -191,7 +191,7 @@ class Recorder:
         return len(self._known) == len(self._parameters)
 
     def complete(self) -> bool:
-        """Request the collected messages of the nodes; return whether everything is recorded."""
+        """Make the nodes publish collected messages; return whether all messages are recorded."""
         if self._ended is None:
             self._ended = self._node.get_clock().now()
         for node in self._missing():
@@ -201,7 +201,7 @@ class Recorder:
         return not self._missing() and whole and self._has_last_state()
 
     def _has_last_state(self) -> bool:
-        """Return whether a machine state after the end is recorded; states arrive in order."""
+        """Return whether a machine state after the end is recorded; they arrive in order."""
         if self._state is None or self._ended is None:
             return self._ended is not None and 'machine_node' not in self._known
         told = Time.from_msg(self._state.header.stamp, self._ended.clock_type)
@@ -235,9 +235,9 @@ class Recorder:
 
 
 def record(path: Path, namespace: str) -> int:
-    """Record until Ctrl-C or SIGTERM; returns the number of messages.
+    """Record until Ctrl-C or SIGTERM; return the number of messages.
 
-    Raises InterpError if the bag cannot be made.
+    Raises InterpError if the bag cannot be written.
     """
     refuse_existing(path)  # before ROS starts
     with stop_signals() as stop, ServedNode('record', namespace) as served:

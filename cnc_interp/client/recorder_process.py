@@ -1,7 +1,7 @@
-"""The recorder of a run in its own process, so that work of the terminal cannot delay it.
+"""The recorder of a run, in its own process so that the terminal cannot delay it.
 
-Over a pipe the recorder reports that it hears every node, and at the end that the bag is complete.
-The run requests the end. A closed pipe means that the other process has died.
+The recorder reports over a pipe that every node knows it, and at the end that the bag is complete.
+The run requests the end. A closed pipe means that the process at its other end has died.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from cnc_interp.client.served_node import ServedNode
 
 NAME = 'recorder'  #: Name of the process.
-NICENESS = -5  #: Priority below the nodes but above the rest, because unread messages are lost.
+NICENESS = -5  #: Lower priority than the nodes, but above others: unread messages are lost.
 SPIN = 0.05  #: Longest wait for a message before the pipe is checked [s].
 READY, WHOLE = 'ready', 'whole'  #: Messages of the recorder, unless it sends an error.
-#: Longest wait for the end of the record, with its last messages and a slow disk [s].
+#: Longest wait until the bag is complete, for last messages and a slow disk [s].
 LAST_WAIT = 60.0
 
 
@@ -52,7 +52,7 @@ def _live(path: Path, namespace: str, domain: int, kept: bool, run: Connection) 
 
 
 def _keep(recorder: Recorder, node: ServedNode, run: Connection) -> None:
-    """Record until the run requests the end, or until it has ended."""
+    """Record until the run requests the end or has died; then complete the bag."""
     ready = False
     while recorder.fault is None and not run.poll():
         node.serve(SPIN)
@@ -69,9 +69,9 @@ def _say(run: Connection, word: object) -> None:
 
 
 class RecorderProcess:
-    """The run's handle of the recorder process, which writes the bag ``path``.
+    """The recorder process as the run sees it; it writes the bag ``path``.
 
-    ``kept``: whether the user keeps the bag. If not, it only has what plan files are made from.
+    ``kept``: whether the user keeps the bag. If not, it has only the topics for plan files.
     """
 
     def __init__(self, path: Path, kept: bool, namespace: str, domain: int):
@@ -79,7 +79,7 @@ class RecorderProcess:
 
         refuse_existing(path)
         self._path = path
-        self.fault: Exception | None = None  #: Why the record ended before the run.
+        self.fault: Exception | None = None  #: Error that ended the recording early.
         self._said: set[str] = set()
         self._pipe, recorder = multiprocessing.Pipe()
         self._process = load_nodes().Process(
@@ -92,7 +92,7 @@ class RecorderProcess:
         recorder.close()
 
     def look(self, timeout: float = 0.0) -> None:
-        """Read the messages of the recorder, and check that it still lives."""
+        """Read the reports of the recorder, and check that it is alive."""
         while self.fault is None and WHOLE not in self._said and self._pipe.poll(timeout):
             try:
                 word = self._pipe.recv()
@@ -105,14 +105,14 @@ class RecorderProcess:
                 self._said.add(word)
 
     def ready(self) -> bool:
-        """Return whether the recorder hears all nodes; raise its error if it has ended."""
+        """Return whether the recorder is known to all nodes; raise its error if it has ended."""
         self.look()
         if self.fault is not None:
             raise self.fault
         return READY in self._said
 
     def finish(self) -> None:
-        """Wait until the recorder has written its last messages; raises if the bag is cut."""
+        """End the recorder and wait until the bag is complete; raise its error if it is not."""
         try:
             with contextlib.suppress(OSError):  # it has ended
                 self._pipe.send(WHOLE)

@@ -1,4 +1,4 @@
-"""Replay of a bag: recompute the setpoints from its blocks, or publish its messages again."""
+"""Replay a bag: recompute the setpoints from its blocks, or publish its messages again."""
 
 import math
 import time
@@ -40,9 +40,9 @@ from cnc_interp.wire.path_messages import (
 )
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
-#: Topics that are published again. Streams are left out because a live machine would follow them.
+#: Topics that are published again. Streams are left out: a running machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
-#: Columns that are compared bit for bit.
+#: Columns of setpoints that are compared bit for bit.
 COLUMNS = [name for name in Setpoints.declared if name != 'time']
 
 
@@ -50,11 +50,11 @@ COLUMNS = [name for name in Setpoints.declared if name != 'time']
 class Comparison:
     run_id: RunId  #: Run, attempt and plan.
     recorded: int  #: Number of recorded setpoints.
-    #: Number of leading setpoints that agree bit for bit, stop tails included.
+    #: How many leading setpoints agree bit for bit; their stop tails agree, too.
     same: int
-    #: Largest difference of a position [m, rad]; infinite if setpoints are missing.
+    #: Largest difference between positions [m, rad]; infinite if setpoints are missing.
     difference: float
-    #: Whether it joined in motion, at an instant that the bag does not contain.
+    #: Whether the plan joined in motion; the bag does not contain the time of its request.
     joins: bool = False
     segment: int = -1  #: The first segment of the run that differs, or -1.
 
@@ -80,7 +80,7 @@ class Comparison:
 
 
 def compute_again(bag: Bag, machine: str | None = None) -> Iterator[Comparison]:
-    """Recompute the setpoints of all runs in a bag from its blocks, and compare them."""
+    """Recompute the setpoints of all runs in a bag from blocks; yield a comparison per plan."""
     transform = Transform.of(Machine.load(bag.machine(machine)))
     recorded: dict[RunId, dict[int, dict[int, SetpointChunk]]] = {}
     for chunk in bag.messages('setpoints'):
@@ -92,11 +92,11 @@ def compute_again(bag: Bag, machine: str | None = None) -> Iterator[Comparison]:
         yield from Repetition(bag, transform, run_id, plans).compare()
 
 
-Chunks = dict[int, SetpointChunk]  #: Chunks of a plan by their first setpoint numbers.
+Chunks = dict[int, SetpointChunk]  #: Number of the first setpoint -> chunk of a plan.
 
 
 class Repetition:
-    """One attempt at a run, planned again from its recorded blocks."""
+    """One attempt at a run, planned again from the recorded blocks."""
 
     def __init__(self, bag: Bag, transform: Transform, run_id: RunId, plans: dict[int, Chunks]):
         self._bag, self._transform, self._run_id = bag, transform, run_id
@@ -175,7 +175,7 @@ class Repetition:
         return planner
 
     def _stops(self) -> dict[int, Wait]:
-        """Return the blocks with M0, and the blocks with M1 at which the setpoints stop."""
+        """Return the blocks with M0, and those with M1 at which the recorded setpoints stop."""
         waits = {G1Block.STOP: Wait.PROGRAM_STOP}
         optional = {
             chunk.sequences[-1]
@@ -216,9 +216,9 @@ def _all_chunks(planner: RunPlanner, recorded: list[Chunk]) -> list[Chunk]:
 
 
 def _compared(recorded: list[Chunk], again: list[Chunk]) -> tuple[int, float]:
-    """Return the number of equal setpoints, and the largest difference of a position.
+    """Return how many leading setpoints are equal, and the largest position difference.
 
-    If a stop tail or a wait differs, the last setpoint before it is reported as different.
+    If a stop tail or a wait differs, the last setpoint before it counts as different.
     """
     same, difference, alike = 0, 0.0, True
     for chunk, other in zip(recorded, again, strict=False):

@@ -1,4 +1,4 @@
-"""Print the text that a topic holds for late subscribers, such as robot_description."""
+"""Print the last text of a topic that keeps it for late subscribers, as robot_description."""
 
 import sys
 import time

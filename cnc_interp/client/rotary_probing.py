@@ -1,4 +1,4 @@
-"""Touch one ball at several rotary positions of a running machine, and find its rotary axes."""
+"""Find the rotary axes of a running machine by touching one ball at several rotary positions."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,16 +18,16 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.qos import CONTACTS
 from cnc_interp.nodes.seals import hear
 
-STEP, SMALLEST = 1e-5, 1e-9  #: Step of finite differences, and largest change at convergence [m].
-SEEN = 1e-3  #: Singular values below this share of the largest count as unobservable [-].
-LEAST = 4  #: Least number of unknowns of two axes: two for the place of each line.
+STEP, SMALLEST = 1e-5, 1e-9  #: Step of finite differences; largest change at convergence [m].
+SEEN = 1e-3  #: Smaller singular values, over the largest one, are unobservable [-].
+LEAST = 4  #: Fewest unknowns of two axes: two for the position of each line.
 ROUNDS = 20
 
 
 @dataclass(frozen=True)
 class RotaryCentres:
     machine: Machine  #: Machine with the fitted offsets.
-    spread: FloatArray  #: (5, 3): Standard deviations of ``offsets`` and ``tool_offset`` [m].
+    spread: FloatArray  #: (5, 3): Standard deviation of ``offsets`` and ``tool_offset`` [m].
     ball: FloatArray  #: (3,): Centre of the ball in W [m].
     residuals: FloatArray  #: (n,): Residual of each touch [m].
 
@@ -60,11 +60,11 @@ def ball_of(machine: Machine, q: FloatArray, reach: float, beyond: float) -> Flo
 def fit_rotary_centres(
     machine: Machine, q: FloatArray, reach: float, beyond: float
 ) -> RotaryCentres:
-    """Fit the offsets of a machine to touches.
+    """Return the offsets of a machine that fit the touches of a ball best.
 
-    ``q`` (n, n_axes): axis positions at the contacts [m, rad]; ``reach``: sum of the radii of the
-    ball and the probe's ball [m]; ``beyond``: distance of the probe ball's centre beyond the tip
-    in the machine file [m]. Raises InterpError if the touches do not determine the axes.
+    ``q`` (n, n_axes): axis positions at the contacts [m, rad]; ``reach``: radius of the ball plus
+    radius of the probe's ball [m]; ``beyond``: how far the centre of the probe's ball lies beyond
+    the tip in the machine file [m]. Raises InterpError if the touches do not determine the axes.
     """
     if not machine.has_rotary:
         raise InterpError('the machine has no rotary axes')
@@ -106,23 +106,23 @@ def fit_rotary_centres(
     return RotaryCentres(found, spread, ball, left)
 
 
-#: Index of the slow touch among the answers of ``probe_touch``, and their number.
+#: Index of the slow touch among the answers to a ``probe_touch``, and number of answers.
 SLOW, ANSWERS = 2, 4
-PATIENCE = 2.0  #: Longest wait for an answer of the probe after its line [s].
-UPRIGHT = 1e-6  #: Tolerance within which the tool axis must be upright at the start [-].
+PATIENCE = 2.0  #: Longest wait for a contact message after its line [s].
+UPRIGHT = 1e-6  #: Tolerance of the upright tool axis at the start [-].
 
 
 @dataclass(frozen=True)
 class BallProbing:
-    """The ball, the probe, and the parameters of touching; SI units."""
+    """Dimensions of ball and probe, and parameters of the touches; SI units except feeds."""
 
     ball: float  #: Diameter of the ball on the machine.
     tip: float  #: Diameter of the probe's ball.
-    longer: float  #: Length of the probe beyond the tip in the machine file.
-    beside: float  #: Gap between both balls before a touch.
+    longer: float  #: Distance of the probe's end beyond the tip of the machine file.
+    beside: float  #: Gap between the two balls before a touch.
     feed: float  #: Feeds of the first and of the second touch [mm/min].
     slow: float
-    primary: Sequence[float]  #: Positions of the rotary axes [rad].
+    primary: Sequence[float]  #: Positions of each rotary axis [rad].
     secondary: Sequence[float]
 
     @property
@@ -131,7 +131,7 @@ class BallProbing:
 
     @property
     def beyond(self) -> float:
-        """Distance of the probe ball's centre beyond the tip in the machine file [m]."""
+        """How far the centre of the probe's ball lies beyond the tip in the machine file [m]."""
         return self.longer - self.tip / 2
 
     def poses(self) -> Iterator[tuple[float, float]]:
@@ -148,13 +148,13 @@ class _Toucher:
         self._contacts.append(contact)
 
     def give(self, line: str) -> None:
-        """Execute a line; InterpError if that fails."""
+        """Execute an MDI line; raise InterpError if it fails."""
         answer = self._client.wait_for(self._client.give_line(line))
         if not answer.ok:
             raise InterpError(f'{line}: {answer.message}')
 
     def place(self, tip: FloatArray) -> list[float]:
-        """Return a point of W in program coordinates [mm]."""
+        """Return a point, given in W [m], in program coordinates [mm]."""
         table = self._setup.table
         assert table is not None
         zero, turn = work_zero(table, self._setup.setup, self._setup.setup.offset)
@@ -163,7 +163,7 @@ class _Toucher:
         return list(np.round((tip - zero) / MM, 6))
 
     def touch(self, line: str) -> None:
-        """Execute a line with a double touch, and store the place of the second touch."""
+        """Execute a line that touches twice; store the axis positions at the second touch."""
         before = len(self._contacts)
         self.give(line)
         until = time.monotonic() + PATIENCE
@@ -185,10 +185,10 @@ def _call(name: str, *values: float) -> str:
 def probe_rotary_centres(
     wanted: BallProbing, namespace: str, domain: int | None, told: Callable[[str], None]
 ) -> tuple[RotaryCentres, str]:
-    """Touch the ball at all poses; return the fitted geometry, and the machine as named.
+    """Touch the ball at all rotary positions; return fitted geometry and name of the machine.
 
-    The probe must be upright above the ball, at most four times ``beside`` away from it. Raises
-    InterpError if a touch fails, or the touches do not determine the axes.
+    At the start the probe must be upright above the ball, at most four times ``beside`` from it.
+    Raises InterpError if a touch fails, or if the touches do not determine the axes.
     """
     with connected_setup('probe', namespace, domain) as (client, setup, machine):
         toucher = _Toucher(client, setup, machine)

@@ -1,4 +1,4 @@
-"""The terminal of a run: sends programs, shows progress and results, handles Ctrl-C and Enter."""
+"""The terminal of a run: send programs, show progress and results, handle Ctrl-C and Enter."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from cnc_interp.program.notices import tell, warnings_of
 from cnc_interp.wire.run_messages import add_executed, goal_of
 
 Result = RunProgram.Result
-#: Longest wait for the nodes to start, because all kernels may have to be compiled [s].
+#: Longest wait for the nodes to start; they may have to compile all kernels [s].
 START_TIMEOUT = 300.0
-#: Stops at which the operator is asked to continue.
+#: Reason of a stop -> text that asks the operator to continue.
 STOP_TEXTS = {
     MachineState.REASON_PROGRAM_STOP: 'program stop',
     MachineState.REASON_OPTIONAL_STOP: 'optional stop',
@@ -45,15 +45,15 @@ STOP_TEXTS = {
     MachineState.REASON_FUNCTION: 'an output waits for the operator',
 }
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
-SILENCE = 1.0  #: Silence after which a node counts as lost [s].
-#: If all nodes live but are silent for this time, ROS is stuck in this process [s]. Threads of
-#: Fast DDS 2.14 may deadlock if a participant leaves while its lease is checked.
+SILENCE = 1.0  #: A node that sends nothing for this time counts as lost [s].
+#: If all node processes are alive but nothing is heard for this time, ROS is stuck in this process
+#: [s]. Threads of Fast DDS 2.14 may deadlock if a participant leaves while its lease is checked.
 DEAF = 30.0
-RECORD_TIMEOUT = 60.0  #: Longest wait for the recorder to hear all nodes [s].
-SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked after it.
+RECORD_TIMEOUT = 60.0  #: Longest wait until all nodes know the recorder [s].
+SPIN = 0.05  #: Longest wait for an event [s]; then signals and processes are checked.
 
 
-#: Figures of a result that are reported unchanged, and figures with a value for each axis.
+#: Figures that are copied from a result, and figures that have a value for each axis.
 AS_TOLD = (
     'message',
     'program_id',
@@ -97,9 +97,9 @@ class RunConsole:
         }
 
     def _interrupt(self, number: int, _frame: Any) -> None:
-        """Take Ctrl-C, SIGTERM or SIGHUP: the first cancels the program, the second ends at once.
+        """Handle Ctrl-C, SIGTERM, SIGHUP: the first cancels the program, the second ends at once.
 
-        SIGHUP comes when the terminal is closed: nothing can be written to it any more.
+        SIGHUP means that the terminal was closed, so nothing can be written to it.
         """
         if number == signal.SIGHUP:
             sys.stdout = sys.stderr = open(os.devnull, 'w')  # noqa: SIM115
@@ -109,7 +109,7 @@ class RunConsole:
         self._interrupted = True
 
     def run(self, machine: Machine, started: float) -> list[RunResult]:
-        """Run the programs one after the other, each to its end.
+        """Run the programs one after the other; return their results.
 
         ``started``: monotonic time at which the command began [s]. Raises InterpError if the first
         program is rejected before anything moves, or if a node ends.
@@ -152,7 +152,7 @@ class RunConsole:
         )
 
     def _wait_for_nodes(self) -> None:
-        """Wait until program_node accepts programs and the recorder hears all nodes."""
+        """Wait until program_node accepts programs and all nodes know the recorder."""
         recorder = self._recorder
         if recorder is None:
             if not self._spin(lambda: self._client.takes_programs, START_TIMEOUT):
@@ -240,7 +240,7 @@ class RunConsole:
             self._progress.show(f'running {name}', share, line, left)
 
     def _forgotten_result(self) -> RunProgram.Result:
-        """Return the known part of the result of a run whose program_node was lost."""
+        """Return what is known of the result of a run after program_node was lost."""
         result, state = Result(), self._client.state
         if state is not None:
             result.program_id = state.program_id
@@ -265,7 +265,7 @@ class RunConsole:
             self._restarted, self._pressed = not self._pressed.result().ok, None
 
     def _pass_program_stop(self) -> None:
-        """Continue a waiting machine (M0) after Enter at the terminal, or by the option."""
+        """Continue after a stop (M0) when Enter is pressed, or at once with the option."""
         state = self._client.state
         if (
             state is None
@@ -308,7 +308,7 @@ class RunConsole:
             self._first_motion = time.monotonic() - past
 
     def _spin(self, done: Callable[[], bool], timeout: float = float('inf')) -> bool:
-        """Serve ROS until a condition holds; raise an error if a node has ended."""
+        """Serve ROS until ``done`` or for ``timeout`` [s]; raise an error if a node has ended."""
         deadline = time.monotonic() + timeout
         while not done():
             if time.monotonic() > deadline:
@@ -344,7 +344,7 @@ def run_recorded(
     children: Children,
     started: float,
 ) -> list[RunResult]:
-    """Run programs; ``out`` and a limit of the tool error also require a record."""
+    """Run the programs of a request, and record them if the request or its results need it."""
     tell(tool_warnings(machine, request.settings))
     judged = request.settings.tool_error is not None
     results: list[RunResult] = []
@@ -375,7 +375,7 @@ def reason_of(fault: Exception) -> str:
 def written(
     record: Path, results: list[RunResult], machine: Machine, out: Path | None
 ) -> list[RunResult]:
-    """Write the plan files of successful runs; return the results with the tool error."""
+    """Write plan files of successful runs from a bag; return the results with the tool error."""
     # Imported after the run, because what reads bags takes a third of a second to load.
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_run import recorded_run, write_run
@@ -395,7 +395,7 @@ def written(
 
 @contextmanager
 def bag_folder(request: RunRequest) -> Iterator[Path | None]:
-    """Yield the path of the bag: as requested, a temporary one if results need it, or None."""
+    """Yield the path of the bag: requested, temporary (if the results need it), or None."""
     if request.record is not None or request.out is None:
         if request.record is not None or request.settings.tool_error is None:
             yield request.record

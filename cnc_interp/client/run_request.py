@@ -1,4 +1,4 @@
-"""The request for a run, and its result."""
+"""The user's request for a run, and the result of the run."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
-#: Height of the tip above the part at which a simulated machine starts outside all bodies [m].
+#: A simulated machine starts with its tip this high above the part, clear of all bodies [m].
 START_HEIGHT = 0.1
 
 
 @dataclass(frozen=True)
 class RunRequest:
     program: Path  #: Program file.
-    #: Further programs; each starts when its predecessor has ended.
+    #: Further programs; each one starts after its predecessor has ended.
     then: tuple[Path, ...] = ()
     machine: str = DEFAULT_MACHINE  #: Bundled machine or YAML file.
-    settings: Settings = field(default_factory=Settings)  #: The user's choices.
+    settings: Settings = field(default_factory=Settings)  #: Settings chosen by the user.
     out: Path | None = None  #: Folder for plan files of the executed motion.
-    record: Path | None = None  #: Bag to record all messages into.
-    quiet: bool = False  #: Show no progress.
-    #: Continue without cycle start at program stops, single blocks and before a plunge. With
-    #: simulated drives, functions that wait for the operator continue too (M6 by hand).
+    record: Path | None = None  #: Bag in which all messages are recorded.
+    quiet: bool = False  #: Whether to hide the progress.
+    #: Whether to continue without cycle start at program stops, single blocks and before a plunge;
+    #: with simulated drives also at functions that wait for the operator (M6 by hand).
     pass_stops: bool = False
-    #: Kind of drives and their parameters; see ``command_options.drives``. Empty: as in the
-    #: parameters of the nodes.
+    #: Kind of drives and their parameters, see ``command_options.drives``. If empty, the defaults
+    #: of the nodes apply.
     drives: dict[str, str] = field(default_factory=dict)
 
     @staticmethod
     def from_options(options: Namespace) -> RunRequest:
-        """Make a request from command-line options, which are in shop units."""
+        """Return a request from command-line options, which are in shop units."""
         return RunRequest(
             options.program,
             tuple(options.then),
@@ -84,46 +84,46 @@ class RunRequest:
 class RunResult:
     ok: bool  #: Whether the program was executed completely.
     message: str  #: What happened, in one line.
-    #: Program, machine, and the id of the run in all messages.
+    #: Program; machine; and id of the run in all messages.
     program: str
     machine: str
     program_id: str = ''
-    scene: str = ''  #: The scene against which each piece of the path was checked.
-    hits: tuple[str, ...] = ()  #: Hits of the path, in a run that only warns of them.
-    stock: str = ''  #: Text about the removed stock of the scene.
+    scene: str = ''  #: Scene file with which the path was checked.
+    hits: tuple[str, ...] = ()  #: Hits in a run that only warns of them.
+    stock: str = ''  #: Text about the removed stock.
     #: Motion time of the program, and of the move to its start pose [s].
     cycle_time: float = 0.0
     approach_time: float = 0.0
     #: Time from the command to the first executed setpoint [s].
     start_to_motion: float = float('nan')
     path_length: float = 0.0  #: Path executed [m].
-    #: Counts; a starvation is an interruption because setpoints were missing.
+    #: Counts. A starvation is an interruption by missing setpoints.
     blocks_sent: int = 0
     blocks_executed: int = 0
     samples: int = 0
     starvations: int = 0
     #: Least buffered motion time during the run [s].
     least_buffered_time: float = float('nan')
-    contour_error: float = 0.0  #: Largest distance of the actual tip from the commanded path [m].
-    #: 'm' for linear axes, 'rad' for rotary ones.
+    contour_error: float = 0.0  #: Largest distance of the tip from the commanded path [m].
+    #: Axis -> 'm' for a linear, 'rad' for a rotary axis.
     axis_units: dict[str, str] = field(default_factory=dict)
-    #: Largest per axis [m, rad; share of the limit].
+    #: Axis -> largest value: following error [m, rad], and uses of limits [-].
     following_error: dict[str, float] = field(default_factory=dict)
     velocity_use: dict[str, float] = field(default_factory=dict)
     acceleration_use: dict[str, float] = field(default_factory=dict)
     jerk_use: dict[str, float] = field(default_factory=dict)
-    #: Positions of the axes at the end [m, rad].
+    #: Axis -> position at the end [m, rad].
     position: dict[str, float] = field(default_factory=dict)
-    notices: tuple[str, ...] = ()  #: Words of the program that had no effect or were simplified.
+    notices: tuple[str, ...] = ()  #: Notices about ignored or simplified words.
     #: Tracebacks of nodes that were restarted after a fault of cnc_interp.
     faults: tuple[str, ...] = ()
-    #: Errors at the tool according to the drives of the machine file, if limited: ``tip``,
-    #: ``axis`` and their ``limit`` [m], and the flank height at which the axis is measured [m].
+    #: Tool errors by the drive model of the machine file, if they are limited: ``tip``, ``axis``
+    #: (at the flank height) and their ``limit`` [m], and the flank height [m].
     tool_error: dict[str, float] | None = None
     flank_height: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """Return all fields in machine-readable form; NaN becomes None."""
+        """Return all fields for JSON; NaN becomes None."""
         return {k: None if v != v else v for k, v in asdict(self).items()}
 
     def text(self) -> str:
@@ -169,7 +169,7 @@ class RunResult:
 
     @property
     def excesses(self) -> list[str]:
-        """Limits exceeded by executed setpoints, and hits; tolerances were checked beforehand."""
+        """Texts about exceeded limits of executed setpoints, and about hits."""
         from cnc_interp.run.plan_figures import excesses
 
         uses = {k: getattr(self, f'{k}_use') for k in ('velocity', 'acceleration', 'jerk')}

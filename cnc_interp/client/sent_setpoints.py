@@ -18,12 +18,12 @@ from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import SETPOINT_FIELDS, settings_of_plan
 from cnc_interp.wire.run_messages import run_id_of
 
-LONGEST_TAIL = 1 << 14  #: More setpoints than any stop along the path takes.
+LONGEST_TAIL = 1 << 14  #: No stop along the path has more setpoints.
 S, BLOCK, LINE = -3, -2, -1  #: Columns of ``rows_of``.
 
 
 def rows_of(message: SetpointChunk, prefix: str = '') -> FloatArray:
-    """Return the columns of a message's setpoints, or of its stop tail, as one array."""
+    """Return the setpoints of a message as rows; with prefix ``tail_`` its stop tail."""
     check_setpoints(message, message.axis_count, prefix)
     n, columns = len(getattr(message, f'{prefix}sequences')), []
     for field, name in SETPOINT_FIELDS.items():
@@ -34,16 +34,16 @@ def rows_of(message: SetpointChunk, prefix: str = '') -> FloatArray:
 
 
 class SentSetpoints:
-    """Setpoints of a run as sent, by plan and number; each is read when needed.
+    """The setpoints that were sent in a run, by plan and number; read when they are needed.
 
-    Sent setpoints never change, so copies of a run share them.
+    Sent setpoints never change, so copies of a recorded run share this object.
     """
 
     def __init__(self, bag: Bag, program_id: str):
         self._messages = bag.spooled('setpoints')
         self._places: dict[RunId, dict[int, int]] = defaultdict(dict)  # by first setpoint
-        self.joins: dict[RunId, int] = {}  #: First setpoints of plans that join in motion.
-        #: Operator settings with which each plan was made.
+        self.joins: dict[RunId, int] = {}  #: Plan that joined in motion -> first setpoint.
+        #: Plan -> operator settings with which it was planned.
         self.settings: dict[RunId, OperatorSettings] = {}
         self.faults: list[str] = []
         for place, message in enumerate(self._messages):
@@ -66,9 +66,9 @@ class SentSetpoints:
         return self
 
     def stop_before(self, run_id: RunId, number: int, later: int) -> float:
-        """Return where a plan could have stopped [m], by the tail ``later`` setpoints after one.
+        """Return where a plan could have stopped [m]: the end of a stop tail.
 
-        If the record lacks the chunk with that tail, the chunk of the setpoint itself is used.
+        The tail is that of the chunk ``later`` setpoints after ``number`` or, if the record lacks
         """
         message = self.at(run_id, number + later) or self.at(run_id, number)
         if message is None:
@@ -76,7 +76,7 @@ class SentSetpoints:
         return float((message.tail_path_positions or message.path_positions)[-1])
 
     def at(self, run_id: RunId, number: int) -> SetpointChunk | None:
-        """Return the message with a setpoint; None if the record does not have it."""
+        """Return the message with setpoint ``number``; None if the record does not have it."""
         firsts = self._firsts.get(run_id, [])
         k = bisect_right(firsts, number) - 1
         if k < 0:
@@ -85,9 +85,9 @@ class SentSetpoints:
         return message if number < firsts[k] + len(message.sequences) else None
 
     def tail(self, run_id: RunId, number: int, row: FloatArray) -> FloatArray | None:
-        """Return the rest of a stop tail, from a row that replaces a setpoint of the plan.
+        """Return the rest of the stop tail that was executed from setpoint ``number`` on, or None.
 
-        A tail may coincide with the plan at first, so it may belong to an earlier chunk.
+        ``row`` is its first setpoint that differs from the plan. A tail may agree with the plan
         """
         plan = np.zeros((0, len(row)))  # from the end of a chunk to the setpoint
         while len(plan) < LONGEST_TAIL:
@@ -105,7 +105,7 @@ class SentSetpoints:
 
 
 def _same(a: SetpointChunk, b: SetpointChunk) -> bool:
-    """Compare two messages without their checksums, which also cover padding bytes."""
+    """Return whether two messages are equal except their checksums, which cover padding bytes."""
     return all(
         getattr(a, name) == getattr(b, name)
         for name in a.get_fields_and_field_types()

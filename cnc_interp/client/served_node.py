@@ -1,4 +1,4 @@
-"""A ROS node in its own context, served by a loop of this process."""
+"""A ROS node in its own context, served by a loop in this process."""
 
 import faulthandler
 from typing import Self
@@ -11,11 +11,11 @@ from cnc_interp.processes.stop_signals import stops_later
 from cnc_interp.processes.this_host import stay_on_this_host
 
 SPIN = 0.1  #: Longest wait for an event [s].
-LAST_WAIT = 20.0  #: Longest wait for the end of ROS in this process [s].
+LAST_WAIT = 20.0  #: Longest wait until ROS has ended in this process [s].
 
 
 class ServedNode:
-    """A served ROS node; without ``domain``, the environment gives the domain."""
+    """A ROS node served by ``serve``; by default, the environment names the domain."""
 
     def __init__(self, name: str, namespace: str, domain: int | None = None):
         stay_on_this_host()

@@ -1,4 +1,4 @@
-"""One session of `cnc-interp run`: starts the four nodes, runs programs, ends the nodes."""
+"""One session of `cnc-interp run`: start the four nodes, run programs, end the nodes."""
 
 import os
 import random
@@ -13,7 +13,7 @@ from cnc_interp.core.small_files import config_directory
 from cnc_interp.processes.fork_server import load_nodes
 from cnc_interp.processes.node_processes import Children
 
-#: Domains whose ports Linux never assigns to other programs, and all domains.
+#: ROS domains with ports that Linux never assigns to other programs; all ROS domains.
 DOMAINS = range(1, 102)
 ALL_DOMAINS = range(233)
 
@@ -23,10 +23,10 @@ def run_session(
 ) -> list[RunResult]:
     """Start the nodes, run one or more programs through them, and end the nodes.
 
-    ``companion``: a process beside the nodes, such as the page, with ``start`` and ``finish``;
-    ``started``: monotonic time at which the command began, by default now [s]. Raises InterpError
-    if the first program cannot be read or executed (nothing has moved then), if the machine file
-    is invalid, or if a node cannot start.
+    ``companion``: an object with ``start`` and ``finish``, such as the page, that runs beside the
+    nodes; ``started``: monotonic time at which the command began, by default now [s]. Raises
+    InterpError if the first program is rejected before any motion, if the machine file is invalid,
+    or if a node cannot start.
     """
     started = time.monotonic() if started is None else started
     for program in request.programs:
@@ -62,13 +62,13 @@ def run_session(
 
 
 def chosen_domain() -> int:
-    """Return the user's ROS domain, or a random one, which separates parallel runs."""
+    """Return the user's ROS domain, or a random one so that parallel runs are separate."""
     chosen = os.environ.get('ROS_DOMAIN_ID', '')
     return int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
 
 
 def domain_of_nodes(domain: int | None) -> int:
-    """Return the ROS domain of running nodes: as given, or from the environment."""
+    """Return the ROS domain of running nodes: ``domain``, or that of the environment."""
     chosen = os.environ.get('ROS_DOMAIN_ID', '')
     return (int(chosen) if chosen.isdigit() else 0) if domain is None else domain
 

@@ -1,4 +1,4 @@
-"""Show and change the offsets and tools of the machine, on the page and on the command line."""
+"""Show and change offsets and tools of the machine, for the page and the command line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cnc_interp.program.job import ROTATION, TOOL_SIZES, TOOL_TEXTS, Tool
 
 @dataclass(frozen=True)
 class OffsetChange:
-    """A change of an offset: its values before and after, and the values in effect [m, rad]."""
+    """A change of an offset [m, rad]: explicit values before it; all values before and after."""
 
     name: str
     had: dict[str, float]
@@ -35,7 +35,7 @@ class OffsetChange:
     counts: dict[str, float]
 
     def text(self, unit: LengthUnit) -> str:
-        """Return the values that changed, as ``G54 X -5.000 → 32.500 mm``."""
+        """Return a text with the changed values, such as ``G54 X -5.000 → 32.500 mm``."""
         shown = {
             letter: (unit.shown(letter, self.counted.get(letter, 0.0)), unit.shown(letter, value))
             for letter, value in self.counts.items()
@@ -50,11 +50,11 @@ class OffsetChange:
 
 @dataclass(frozen=True)
 class Proposal:
-    """Changes that a cycle has found and that are not set yet."""
+    """Changes that a probing cycle proposes and that are not set yet."""
 
-    offsets: tuple[OffsetChange, ...]  #: Offsets with their values before and after.
-    tools: dict[int, Tool]  #: Tools after the change.
-    after: JobSetup  #: The whole table after the change.
+    offsets: tuple[OffsetChange, ...]  #: Proposed changes of offsets.
+    tools: dict[int, Tool]  #: Changed tools by number.
+    after: JobSetup  #: All offsets and tools after the change.
 
     def texts(self, before: JobSetup, unit: LengthUnit) -> list[str]:
         told = [one.text(unit) for one in self.offsets]
@@ -83,13 +83,13 @@ def offset_changes(
 
 
 class SetupClient:
-    """Listens to the table of offsets and tools; ``who``: name under which it logs changes."""
+    """Listens to the table of offsets and tools; its changes are logged with the name ``who``."""
 
     def __init__(self, nodes: OperatorClient, who: str):
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'
-        self.table: SetupTable | None = None  #: Latest received table; None before the first.
+        self.table: SetupTable | None = None  #: Table received last; None if none.
         self.setup = JobSetup()
-        #: The last change of offsets by any client; empty before the first.
+        #: Last change of offsets, by any client; empty if there was none.
         self.changes: tuple[OffsetChange, ...] = ()
         nodes.node.create_subscription(SetupTable, 'setup_table', self._see, LOADED)
 
@@ -100,7 +100,7 @@ class SetupClient:
             self.changes = changes
 
     def proposal(self, text: str) -> Proposal:
-        """Return the changes proposed by an MDI line, from the `proposed` of its result."""
+        """Return the changes that an MDI line proposes; ``text``: `proposed` of its result."""
         assert self.table is not None
         after = JobSetup.of_text(text) if text else self.setup
         tools = {n: tool for n, tool in after.tools.items() if tool != self.setup.tools.get(n)}
@@ -112,13 +112,13 @@ class SetupClient:
         return await self.ask_each([*wanted, *starmap(whole_tool, proposal.tools.items())])
 
     async def undo(self, changes: tuple[OffsetChange, ...]) -> Answer:
-        """Restore the values of offsets before some changes, unless they have changed since."""
+        """Restore the offsets before ``changes``; reject this if they are not the last changes."""
         if changes != self.changes:
             return Answer(False, 'the offsets were changed again: check the last change')
         return await self.ask_each(whole_offset(one.name, one.had) for one in changes)
 
     async def ask_each(self, requests: Iterable[tuple[str, dict[str, Any]]]) -> Answer:
-        """Send requests one after the other, and stop at the first that is rejected."""
+        """Send requests in order, up to the first that is rejected; return the last answer."""
         answer = Answer(True, 'nothing to set')
         for service, request in requests:
             answer = await asyncio.wrap_future(self.ask(service, **request))
@@ -131,12 +131,12 @@ class SetupClient:
 
 
 def whole_offset(name: str, values: Mapping[str, float]) -> tuple[str, dict[str, Any]]:
-    """Return service and request after which an offset has exactly these values."""
+    """Return the service and the request that give an offset exactly these values."""
     return 'set_offset', {'offset': name, 'clear': True, **of_axes(values)}
 
 
 def whole_tool(number: int, tool: Tool) -> tuple[str, dict[str, Any]]:
-    """Return service and request after which the table has exactly this tool."""
+    """Return the service and the request that store exactly this tool in the table."""
     sizes = {name: getattr(tool, name) for name in TOOL_SIZES}
     given = {name: size for name, size in sizes.items() if size is not None}
     given |= {name: getattr(tool, name) for name in ('pocket', *TOOL_TEXTS)}
@@ -148,14 +148,14 @@ def of_axes(values: Mapping[str, float]) -> dict[str, Any]:
 
 
 def position_of(setup: JobSetup, name: str) -> Mapping[str, float]:
-    """Return the values of a work offset or of G92 that are set [m, rad]."""
+    """Return the explicitly set values of a work offset or of G92 [m, rad]."""
     return setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
 
 
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:
     """Return all values of a work offset (with its rotation R) or of G92 [m, rad].
 
-    Where a value is not set, a work offset has that of the machine file, and G92 has 0.
+    Values that are not set are those of the machine file in a work offset, and 0 in G92.
     """
     if name == 'G92':
         return dict.fromkeys(table.axes, 0.0) | dict(setup.g92)
@@ -164,7 +164,7 @@ def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float
 
 
 def work_zero(table: SetupTable, setup: JobSetup, name: str) -> tuple[FloatArray, float]:
-    """Return where X0 Y0 Z0 of a work offset with G92 lies in W [m], and its rotation [rad]."""
+    """Return the position in W [m] and rotation [rad] of a work offset's zero, G92 included."""
     row = offset_row(table, setup, name)
     zero = dict(zip(table.axes, table.zero, strict=True))
     added = [setup.g92.get(letter, 0.0) if setup.g92_on else 0.0 for letter in 'XYZ']
@@ -274,7 +274,7 @@ class SetupConsole:
         }
 
     def _machine(self) -> dict[str, float]:
-        """Return the positions of the axes in the table; joints of an arm are not in it."""
+        """Return axis -> position, for the axes in the table; joints of an arm are not in it."""
         table, _, state = self._now
         has_them = len(state.positions) == len(state.program_positions)
         return dict(zip(table.axes, state.positions, strict=False)) if has_them else {}

@@ -1,4 +1,4 @@
-"""A finished plan as one goal of FollowJointTrajectory, for a controller of ros2_control."""
+"""Execute a finished plan as one FollowJointTrajectory goal of a ros2_control controller."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -18,14 +18,14 @@ from cnc_interp.nodes.controller_link import joint_report, joint_trajectory
 from cnc_interp.nodes.qos import FEEDBACK
 from cnc_interp.proof.plan_files import PlanFiles, gathered
 
-PATIENCE = 10.0  #: Longest wait for the controller and for the positions of its joints [s].
-AT_START = np.array([0.1 * DEG, 0.1 * MM])  #: Largest distance of an axis from the first setpoint.
+PATIENCE = 10.0  #: Longest wait for the controller and for joint positions [s].
+AT_START = np.array([0.1 * DEG, 0.1 * MM])  #: Largest start error [rad, m].
 
 
 def trajectory_of(plan: PlanFiles) -> Trajectory:
-    """Return the setpoints of a plan at the controller's spacing, and the last one, at rest.
+    """Return a plan as a trajectory: setpoints at the controller's spacing, and the last one.
 
-    Raises InterpError for a plan that needs more than motion.
+    Raises InterpError if the plan needs more than motion.
     """
     waits = plan.blocks['line'][np.asarray(plan.blocks['program_stop']) > 0]
     more = [f'line {line} sets an output' for line in plan.functions['line_number'][:1]]
@@ -46,7 +46,7 @@ def trajectory_of(plan: PlanFiles) -> Trajectory:
 
 
 class FollowedPlan:
-    """A trajectory that a controller executes; ``joints`` in the order of the axes."""
+    """The execution of a trajectory by a controller; ``joints``: names in axis order."""
 
     def __init__(self, node: ServedNode, controller: str, joints: Sequence[str], feedback: str):
         try:
@@ -64,7 +64,7 @@ class FollowedPlan:
         self._wait(self._client.server_is_ready, PATIENCE, f'nobody offers the action {action}')
         told = f'{feedback} does not report {" ".join(joints)}'
         self._wait(lambda: self._position is not None, PATIENCE, told)
-        self.done = 0.0  #: Time up to which the trajectory has been executed [s].
+        self.done = 0.0  #: Trajectory time that has been executed [s].
         self.errors = np.zeros(len(joints))  #: Largest following error of each axis [m, rad].
 
     def _hear(self, message: JointState) -> None:
@@ -87,7 +87,7 @@ class FollowedPlan:
             self._node.serve()
 
     def refuse_elsewhere(self, machine: Machine, first: FloatArray) -> None:
-        """Raise InterpError if the joints are not at the first setpoint [m, rad]."""
+        """Raise InterpError if the joints are not at ``first``, the first setpoint [m, rad]."""
         assert self._position is not None
         away = self._position - first
         for k in np.flatnonzero(np.abs(away) > AT_START[machine.is_linear.astype(int)]).tolist():
@@ -98,7 +98,7 @@ class FollowedPlan:
             )
 
     def execute(self, trajectory: Trajectory, told: Callable[[float], None]) -> None:
-        """Send the goal and wait for its end; cancel it when interrupted.
+        """Send the goal and wait for its end; cancel it if this process is interrupted.
 
         Raises InterpError if the controller rejects or aborts it.
         """

@@ -1,1 +1,1 @@
-"""A machine as links, joints and simple shapes: for URDF readers and for the operator page."""
+"""Describe a machine by links, joints and simple shapes, for URDF and for the page."""

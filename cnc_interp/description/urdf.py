@@ -1,4 +1,4 @@
-"""Simple shapes of the links of a machine, and its URDF for RViz, Foxglove and others."""
+"""Simple shapes for the links of a machine, and its URDF for RViz, Foxglove and others."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ STEEL: Colour = (0.58, 0.63, 0.68, 1.0)
 CUTTER: Colour = (0.88, 0.55, 0.14, 1.0)
 STOCK: Colour = (0.70, 0.74, 0.78, 0.35)
 FIXTURE: Colour = (0.66, 0.50, 0.30, 1.0)
-HIT: Colour = (0.92, 0.18, 0.20, 1.0)  #: Colour of two bodies that hit each other.
-#: Height of the bridge above the tool tip, and its half width, for travels of half a metre [m].
+HIT: Colour = (0.92, 0.18, 0.20, 1.0)  #: Colour of bodies that hit each other.
+#: Height above the tool tip, and half width, of the bridge for a travel of 0.5 m [m].
 BRIDGE, HALF_WIDTH = 0.78, 0.68
-LIMB = 0.025  #: Radius of a limb over the length of the whole arm [-].
+LIMB = 0.025  #: Radius of an arm's limb over the length of the arm [-].
 
 
 @dataclass(frozen=True)
 class Shape:
-    size: tuple[float, ...]  #: Edges of a box (3), or radius and length of a cylinder (2) [m].
-    centre: Vector  #: Middle, in the frame of the link [m].
+    size: tuple[float, ...]  #: Three edges of a box, or radius and length of a cylinder [m].
+    centre: Vector  #: Centre in the frame of the link [m].
     colour: Colour  #: Red, green, blue and opacity, 0 to 1.
     along: Vector = UP  #: Unit direction of a cylinder's axis [-].
 
@@ -88,7 +88,7 @@ def frame_shapes(machine: Machine) -> tuple[Shape, ...]:
     return tuple(shapes)
 
 
-#: Shapes of bridge, saddle and ram, which are moved by X, Y and Z.
+#: Shapes of the bridge, the saddle and the ram, which X, Y and Z move.
 SLIDES = (
     Shape((0.10, 2 * HALF_WIDTH, 0.12), (-0.13, 0.0, BRIDGE), SLIDE),
     Shape((0.12, 0.20, 0.20), (-0.06, 0.0, BRIDGE), IRON),
@@ -140,12 +140,12 @@ def stock_shape(machine: Machine) -> Shape:
 @dataclass(frozen=True)
 class Description:
     name: str  #: Name of the machine.
-    links: dict[str, tuple[Shape, ...]]  #: Shapes of each link, the base first.
-    joints: tuple[Joint, ...]  #: Parents before children.
-    bodies: tuple[DrawnBody, ...] = ()  #: Bodies of a scene, which replace all shapes.
+    links: dict[str, tuple[Shape, ...]]  #: Link -> its shapes; the base comes first.
+    joints: tuple[Joint, ...]  #: All joints, parents before children.
+    bodies: tuple[DrawnBody, ...] = ()  #: Bodies of a scene; they replace all shapes.
 
     def pose(self, link: str, positions: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-        """Return rotation (3, 3) and origin (3,) [m] of a link in the base; other axes at 0."""
+        """Return the pose of a link in the base: rotation (3, 3) and origin (3,) [m]."""
         rotation, place = np.eye(3), np.zeros(3)
         joint_of = {joint.child: joint for joint in self.joints}
         while link in joint_of:
@@ -176,7 +176,7 @@ def describe_machine(machine: Machine, bodies: Sequence[DrawnBody] = ()) -> Desc
 
 
 def colour_of(body: DrawnBody) -> Colour:
-    """Return the colour of a body of a scene, by its role or by the link that carries it."""
+    """Return the colour of a scene body, which depends on its role or its link."""
     roles = {'STOCK': STOCK, 'CUTTER': CUTTER, 'SHANK': STEEL, 'HOLDER': IRON}
     links = {BASE: IRON, WORKPIECE: FIXTURE, TOOL_TIP: CUTTER}
     turns = body.link.endswith(('_table', '_head'))
@@ -184,7 +184,7 @@ def colour_of(body: DrawnBody) -> Colour:
 
 
 def shapes_of(machine: Machine, joint: Joint) -> tuple[Shape, ...]:
-    """Return simple shapes of the link that a joint moves."""
+    """Return simple shapes for the link that ``joint`` moves."""
     k, child = joint.axis, joint.child
     if child == TOOL_TIP:
         return TOOL
@@ -201,7 +201,7 @@ def shapes_of(machine: Machine, joint: Joint) -> tuple[Shape, ...]:
 
 
 def arm_shapes(joints: Sequence[Joint]) -> dict[str, tuple[Shape, ...]]:
-    """Return limbs for an arm whose URDF has no shapes: from each joint to the next."""
+    """Return link -> limbs for an arm without shapes in its URDF; a limb joins two joints."""
     size, found = sum(float(np.linalg.norm(joint.origin)) for joint in joints), {}
     for link in {joint.parent for joint in joints}:
         shapes = list[Shape]()
@@ -218,7 +218,7 @@ def arm_shapes(joints: Sequence[Joint]) -> dict[str, tuple[Shape, ...]]:
 
 
 HEADER = '<?xml version="1.0"?>\n'
-UNKNOWN_EFFORT = 0.0  #: Largest force of a joint, which URDF requires but is unknown [N, N m].
+UNKNOWN_EFFORT = 0.0  #: Largest force of a joint: required in a URDF, but unknown [N, N m].
 
 
 def urdf_of(
@@ -227,9 +227,9 @@ def urdf_of(
     meshes: Sequence[str] = (),
     frames_only: bool = False,
 ) -> str:
-    """Return a machine as URDF, with simple shapes or bodies of a scene and their STL files.
+    """Return the URDF of a machine, with simple shapes or with scene bodies and their STL files.
 
-    An arm whose own URDF has shapes keeps it, and gets the frames of the tool tip and the part.
+    If the URDF of an arm has shapes, it is returned with added frames of tool tip and part.
     """
     description = describe_machine(machine, bodies)
     robot = ElementTree.Element('robot', name=description.name)
@@ -298,5 +298,5 @@ def words(values: Iterable[float]) -> str:
 
 
 def word(value: float) -> str:
-    """Write a number with 15 digits, which is exact to a femtometre without rounding noise."""
+    """Return a number as text with 15 digits: exact to a femtometre, without rounding noise."""
     return f'{float(value) + 0.0:.15g}'

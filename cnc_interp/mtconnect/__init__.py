@@ -1,1 +1,1 @@
-"""An MTConnect agent that reports the machine's state to the shop; it only reads."""
+"""An MTConnect agent that reports the state of the machine. It cannot control the machine."""

@@ -1,4 +1,4 @@
-"""`cnc-interp mtconnect`: the agent, as a separate process beside the nodes."""
+"""`cnc-interp mtconnect`: run the agent as a separate process beside the nodes."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from cnc_interp.mtconnect.server import AgentServer, Requests
 from cnc_interp.mtconnect.store import Store
 from cnc_interp.mtconnect.watch import MachineWatch
 
-PATIENCE = 10.0  #: Longest wait for the nodes to report their machine [s].
+PATIENCE = 10.0  #: Longest wait for the name of the machine [s].
 
 
 def run_agent(options: Namespace) -> None:
-    """Serve until Ctrl-C; InterpError if no node answers, or if the port is taken."""
+    """Serve until Ctrl-C; raise InterpError if no node answers or the port is in use."""
     domain = session.domain_of_nodes(options.domain)
     session.check_place(options.namespace, domain)
     with MachineWatch(options.namespace, domain) as watch:

@@ -1,4 +1,4 @@
-"""The MTConnect device of a machine: its components and their data items.
+"""The MTConnect device that describes a machine: its components and their data items.
 
 Names and types are those of MTConnect 2.4, part 2 (devices) and part 3 (observations).
 """
@@ -16,7 +16,7 @@ from cnc_interp.machine_model.machine import Machine
 
 SAMPLE, EVENT, CONDITION = 'SAMPLE', 'EVENT', 'CONDITION'
 ACTUAL, COMMANDED, PROGRAMMED, RAPID = 'ACTUAL', 'COMMANDED', 'PROGRAMMED', 'RAPID'
-#: Conditions by the node whose diagnostics report them; and that of all other nodes.
+#: Node -> condition that its diagnostics report; and the condition of all other nodes.
 CONDITION_OF = {'program_node': 'LOGIC_PROGRAM', 'machine_node': 'SYSTEM'}
 OTHER_CONDITION = 'MOTION_PROGRAM'
 
@@ -31,19 +31,19 @@ class DataItem:
 
     @property
     def element(self) -> str:
-        """The name of its element in a document of streams."""
+        """Name of the XML element of this data item in a streams document."""
         return self.type.title().replace('_', '')
 
 
 @dataclass(frozen=True)
 class Component:
-    kind: str  #: Its element, such as ``Linear``.
+    kind: str  #: Name of its XML element, such as ``Linear``.
     id: str
     name: str = ''
     items: tuple[DataItem, ...] = ()
     parts: tuple[Component, ...] = ()
-    joint: Joint | None = None  #: Its joint, with motion and carrier.
-    carrier: str = ''  #: Name of the axis that carries it; empty: the bed.
+    joint: Joint | None = None  #: Joint of an axis; None for other components.
+    carrier: str = ''  #: Name of the axis that carries it; empty for the bed.
     uuid: str = ''  #: UUID of the device; empty for components.
 
     def walk(self) -> Iterator[Component]:
@@ -69,12 +69,12 @@ def _axis(machine: Machine, number: int, joints: dict[str, Joint]) -> Component:
 
 
 def name_of(machine: str) -> str:
-    """Return the name of a machine in letters, digits and underscores."""
+    """Return the name of a machine, with letters, digits and underscores only."""
     return ''.join(c if c.isalnum() else '_' for c in machine)
 
 
 def device_of(machine: Machine, host: str) -> Component:
-    """Return the device of a machine; its UUID comes from the names of host and machine."""
+    """Return the device of a machine; its UUID is a hash of the names of host and machine."""
     joints = {} if machine.arm is not None else {one.name: one for one in joints_of(machine)}
     axes = [_axis(machine, number, joints) for number in range(len(machine.axis_names))]
     spindle = (
@@ -128,5 +128,5 @@ def items_of(device: Component) -> dict[str, DataItem]:
 
 
 def in_units(machine: Machine, number: int, value: float) -> float:
-    """Return the position of an axis [mm or deg]."""
+    """Return a position ``value`` [m or rad] of axis ``number`` in mm or deg."""
     return value / (MM if machine.axes[number].linear else DEG)

@@ -1,4 +1,4 @@
-"""Devices, streams, assets and errors as documents of MTConnect 2.4."""
+"""Write devices, streams, assets and errors as XML documents of MTConnect 2.4."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ BASE_FRAME = 'machine_frame'
 CATEGORIES = {'SAMPLE': 'Samples', 'EVENT': 'Events', CONDITION: 'Condition'}
 MOTIONS = {'prismatic': 'PRISMATIC', 'revolute': 'REVOLUTE', 'continuous': 'CONTINUOUS'}
 STRANGE = re.compile('[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
-LONGEST_PATH = 1000  #: Longest path that chooses data items [characters].
+LONGEST_PATH = 1000  #: Longest XPath in a request [characters].
 
 
 def instant(time: float) -> str:
-    """Return a time since 1970 [s] in the format of documents, to a microsecond."""
+    """Return a time, given in seconds since 1970, as MTConnect text with microseconds."""
     return datetime.fromtimestamp(time, UTC).strftime('%Y-%m-%dT%H:%M:%S.%fZ')
 
 
@@ -47,7 +47,7 @@ def _triple(values: Iterable[float]) -> str:
 
 @dataclass(frozen=True)
 class Agent:
-    """Makes the documents of one device; ``instance``: number of this start of the agent."""
+    """Makes the documents of one device; ``instance``: identifies this start of the agent."""
 
     device: Component
     store: Store
@@ -72,13 +72,13 @@ class Agent:
         return root
 
     def devices(self, tools: int) -> bytes:
-        """Return the description of the device, with the number of tools as assets."""
+        """Return the document that describes the device; ``tools``: number of its tool assets."""
         root = self._document('Devices', assetBufferSize=ASSETS_KEPT, assetCount=tools)
         _component(_sub(root, 'Devices'), self.device)
         return _text(root)
 
     def chosen(self, path: str) -> Collection[str]:
-        """Return the ids of the data items that an XPath names; RequestError if invalid."""
+        """Return the ids of the data items that an XPath selects; RequestError if invalid."""
         whole = items_of(self.device)
         if not path:
             return whole
@@ -96,7 +96,7 @@ class Agent:
         return {item.get('id') for one in elements for item in one.iter('DataItem')}
 
     def streams(self, found: Iterable[Observation], following: int) -> bytes:
-        """Return observations; ``following``: number at which the next request continues."""
+        """Return a document of observations; ``following``: number where the next one begins."""
         store = self.store
         last = store.next_sequence - 1
         first = min(store.first_sequence, last)
@@ -127,7 +127,7 @@ class Agent:
         return _text(root)
 
     def assets(self, tools: dict[int, Tool]) -> bytes:
-        """Return the tools as assets, by their numbers."""
+        """Return a document with an asset for each tool; ``tools``: by tool number."""
         root = self._document('Assets', assetBufferSize=ASSETS_KEPT, assetCount=len(tools))
         place = _sub(root, 'Assets')
         for number, tool in tools.items():
@@ -164,7 +164,7 @@ class Agent:
 
 
 def sound(text: str) -> str:
-    """Return a text without the characters that XML cannot have."""
+    """Return a text without characters that are not allowed in XML."""
     return STRANGE.sub('\ufffd', text)
 
 
@@ -173,7 +173,7 @@ def _text(root: etree._Element) -> bytes:
 
 
 def _sub(parent: etree._Element, name: str, /, **attributes: str) -> etree._Element:
-    """Append an element of the namespace of its parent."""
+    """Append an XML element with the namespace of its parent; return it."""
     space = etree.QName(parent).namespace
     return etree.SubElement(parent, f'{{{space}}}{name}' if space else name, attributes)
 

@@ -1,4 +1,4 @@
-"""Answers requests of MTConnect over HTTP: probe, current, sample, assets; all are GET."""
+"""Answer MTConnect requests over HTTP: probe, current, sample and assets, all by GET."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from cnc_interp.mtconnect.documents import Agent, asset_id
 from cnc_interp.mtconnect.store import RequestError
 from cnc_interp.program.job import Tool
 
-COUNT, MOST = 100, 1 << 17  #: Number of observations in a sample: default, and largest.
-HEARTBEAT = 10_000  #: Default for the longest silence of a stream [ms].
-SLOWEST = 3_600_000  #: Largest interval and heartbeat [ms].
-FASTEST = 10  #: Least time between two parts of a stream [ms].
+COUNT, MOST = 100, 1 << 17  #: Observations in a sample: default, and limit.
+HEARTBEAT = 10_000  #: Longest silence of a stream by default [ms].
+SLOWEST = 3_600_000  #: Largest interval or heartbeat in a request [ms].
+FASTEST = 10  #: Shortest time between two parts of a stream [ms].
 BOUNDARY = 'cnc_interp_part'
-MOST_CLIENTS = 64  #: Largest number of clients served at the same time.
-PATIENCE = 30.0  #: Timeout for a client that sends or takes nothing [s].
+MOST_CLIENTS = 64  #: Largest number of clients at the same time.
+PATIENCE = 30.0  #: Timeout for a client that neither sends nor receives [s].
 
-#: Parameters of each request.
+#: Request -> parameters that it may have.
 KNOWN = {
     'probe': (),
     'current': ('path', 'at', 'interval', 'heartbeat'),
@@ -34,13 +34,13 @@ KNOWN = {
 
 
 class Requests:
-    """Answers requests; ``tools``: returns the current tool table."""
+    """Answers requests; ``tools``: function that returns the current tools by number."""
 
     def __init__(self, agent: Agent, tools: Callable[[], dict[int, Tool]]):
         self._agent, self._tools = agent, tools
 
     def answer(self, target: str) -> tuple[int, bytes | Iterator[bytes]]:
-        """Return status and document, or the parts of a stream."""
+        """Return the HTTP status, and a document or the parts of a stream."""
         try:
             return 200, self._found(target)
         except RequestError as problem:
@@ -159,21 +159,21 @@ class AgentServer(ThreadingHTTPServer):
             raise InterpError(text) from None
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, if not too many are answered already."""
+        """Answer in a separate thread; reject the request if there are too many clients."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer, and make room for another client."""
+        """Answer a request, then allow another client."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def handle_error(self, *_: Any) -> None:
-        """Ignore the error, because a client has disconnected."""
+        """Ignore errors, which mean that a client has disconnected."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -184,7 +184,7 @@ class Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True  # or each answer waits for an acknowledgement
 
     def log_message(self, *_: Any) -> None:
-        """Log nothing, because clients send many requests per second."""
+        """Log nothing, because clients may send many requests per second."""
 
     def do_GET(self) -> None:
         status, found = self.server.requests.answer(self.path)

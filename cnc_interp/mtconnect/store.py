@@ -1,4 +1,4 @@
-"""The latest observations, numbered; requests of many clients read them at the same time."""
+"""The latest observations, with consecutive numbers; many clients may read them at once."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from cnc_interp.core import InterpError
 from cnc_interp.mtconnect.device import DataItem
 
 UNAVAILABLE = 'UNAVAILABLE'
-NORMAL, WARNING, FAULT = 'Normal', 'Warning', 'Fault'  #: Levels of a condition.
-BUFFER = 1 << 17  #: Number of observations that are kept.
+NORMAL, WARNING, FAULT = 'Normal', 'Warning', 'Fault'  #: Levels of conditions.
+BUFFER = 1 << 17  #: Number of stored observations.
 
 
 class RequestError(InterpError):
-    """A request that cannot be answered; ``code``: MTConnect's name of the reason."""
+    """A request cannot be answered; ``code``: MTConnect's error code."""
 
     def __init__(self, code: str, message: str):
         super().__init__(message)
@@ -27,15 +27,15 @@ class RequestError(InterpError):
 @dataclass(frozen=True)
 class Observation:
     sequence: int
-    time: float  #: Since 1970 [s].
+    time: float  #: Time since 1970 [s].
     item: str  #: Id of its data item.
-    value: str  #: Text, or the level of a condition.
-    code: str = ''  #: For a condition: its reporter.
+    value: str  #: Value as text; for a condition its level.
+    code: str = ''  #: For a condition: name of the reporter.
     text: str = ''  #: For a condition: description of the fault.
 
 
 class Store:
-    """Holds the last observations of the data items of a device, all unavailable at first."""
+    """Stores the last observations of a device's data items; at first all are unavailable."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Store:
         self._counts[item] = _after(self._counts[item], found)
 
     def observe(self, values: Mapping[str, str]) -> None:
-        """Store values of data items by id; unchanged values are ignored."""
+        """Add observations of changed values; ``values``: id of a data item -> value."""
         with self._news:
             for item, value in values.items():
                 if self._counts[item][0].value != value:
@@ -78,7 +78,7 @@ class Store:
             self._news.notify_all()
 
     def condition(self, item: str, level: str, code: str = '', text: str = '') -> None:
-        """Store the report of a condition by one reporter, which its code identifies."""
+        """Store what one reporter, named by ``code``, reports about a condition."""
         with self._news:
             counts = self._counts[item]
             active = {one.code: one for one in counts if one.value in (WARNING, FAULT)}
@@ -101,7 +101,7 @@ class Store:
             self._news.notify_all()
 
     def current(self, items: Collection[str], at: int | None = None) -> list[Observation]:
-        """Return the values now, or at an observation number; RequestError if it was dropped."""
+        """Return the values now, or after observation ``at``; RequestError if that was dropped."""
         with self._news:
             found = self._counts
             if at is not None:
@@ -115,9 +115,9 @@ class Store:
     def sample(
         self, items: Collection[str], begin: int | None, count: int
     ) -> tuple[list[Observation], int]:
-        """Return up to ``count`` observations, and the number with which to continue.
+        """Return up to ``count`` observations, and the number at which the next sample begins.
 
-        A negative count goes back from ``begin``, or from the newest. RequestError if not kept.
+        A negative ``count`` goes back from ``begin``, by default from the newest one. Raises
         """
         with self._news:
             if begin is not None:
@@ -138,7 +138,7 @@ class Store:
             return chosen, self._next
 
     def wait(self, after: int, timeout: float) -> bool:
-        """Wait until an observation of this number exists; return False at the timeout [s]."""
+        """Wait until observation number ``after`` exists; return False at the timeout [s]."""
         with self._news:
             return self._news.wait_for(lambda: self._next > after, timeout)
 
@@ -149,6 +149,6 @@ class Store:
 
 
 def _after(before: list[Observation], new: Observation) -> list[Observation]:
-    """Return the current observations of an item after a new one; a condition may have several."""
+    """Return an item's current observations after a new one; a condition may have several."""
     others = [one for one in before if one.code not in ('', new.code)] if new.code else []
     return others if new.value == NORMAL and others else [*others, new]

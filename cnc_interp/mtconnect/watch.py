@@ -1,4 +1,4 @@
-"""Subscribe to the nodes and store their state; nothing is sent."""
+"""Subscribe to the nodes and store their state."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.job import Tool
 
-SILENCE = 2.0  #: Silence after which the machine counts as unavailable [s].
-STEP = 0.1  #: Time between checks of the machine's state [s].
+SILENCE = 2.0  #: If the machine is silent for this time, it is unavailable [s].
+STEP = 0.1  #: Time between two updates of the store [s].
 S = MachineState
-#: MTConnect values for the state of the machine, and for its reason to rest on the path.
+#: Machine state -> MTConnect execution; and for HELD: reason -> execution.
 EXECUTION = {
     S.IDLE: 'READY',
     S.RUNNING: 'ACTIVE',
@@ -45,11 +45,11 @@ HELD_BY = {
 }
 LEVELS = {DiagnosticStatus.WARN: WARNING, DiagnosticStatus.ERROR: FAULT}
 ITEM_OF = {'LOGIC_PROGRAM': 'logic', 'SYSTEM': 'system', OTHER_CONDITION: 'motion'}
-SILENT, STATE = 'silent', 'state'  #: Codes of conditions that are not in diagnostics.
+SILENT, STATE = 'silent', 'state'  #: Codes of conditions that no diagnostics report.
 
 
 class MachineWatch(ServedNode):
-    """A node that only subscribes. ``know`` is called with the machine once its name is known."""
+    """A ROS node that only subscribes, and updates the store of the agent."""
 
     def __init__(self, namespace: str, domain: int | None):
         super().__init__('mtconnect_agent', namespace, domain)
@@ -81,14 +81,14 @@ class MachineWatch(ServedNode):
         self._name = Question(asked, GetParameters.Request(names=['machine']))
 
     def knows_machine(self) -> bool:
-        """Request the machine's name until it is known; MachineError if its file is missing."""
+        """Request the machine's name; return whether it is known. Raises MachineError."""
         answer = self._name.answer()
         if answer is not None and answer.values:
             self.machine = Machine.load(answer.values[0].string_value)
         return self.machine is not None
 
     def tell(self, store: Store) -> None:
-        """Write to a store from now on."""
+        """Set the store that ``step`` updates."""
         self._store = store
 
     # Receiving ----------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ class MachineWatch(ServedNode):
     # Reporting ----------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Serve the node briefly, and update the store with the machine's state."""
+        """Serve the node for a short time, and update the store with the machine's state."""
         self.serve(STEP)
         now = time.monotonic()
         store, state, machine = self._store, self._state, self.machine

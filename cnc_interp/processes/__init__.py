@@ -1,1 +1,1 @@
-"""Start, discovery and end of the processes of cnc_interp."""
+"""Start and end the processes of cnc_interp; restrict ROS to this computer."""

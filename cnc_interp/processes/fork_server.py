@@ -1,4 +1,4 @@
-"""Python's fork server loads libraries and kernels once; processes forked from it share them."""
+"""Use Python's fork server: it loads libraries and kernels once, and its children share them."""
 
 import contextlib
 import multiprocessing
@@ -13,15 +13,15 @@ from typing import Any
 from cnc_interp.processes.stop_signals import STOPS
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 
-COMMAND = 'cnc_interp.commands.cli'  #: Multiprocessing imports it in every child.
-#: Errors of multiprocessing if the fork server, and with it the exit code of a process, is lost.
+COMMAND = 'cnc_interp.commands.cli'  #: Module that multiprocessing imports in every child.
+#: Exit code of a child in multiprocessing if the fork server has died.
 SERVER_LOST = 255
-AFTER_CHILDREN = -50  #: Priority with which the fork server is ended: after all children.
+AFTER_CHILDREN = -50  #: Exit priority: end the fork server after all children.
 _sockets: TemporaryFolder | None = None  #: Folder of the sockets of multiprocessing.
 
 
 def begin_loading(modules: Sequence[str]) -> ForkServerContext:
-    """Start the fork server and return at once; it loads for seconds and ignores all signals."""
+    """Start the fork server, which then loads ``modules`` for seconds; it blocks ``STOPS``."""
     global _sockets
     multiprocessing.set_forkserver_preload([*modules, COMMAND])
     if _sockets is None:
@@ -40,12 +40,12 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
 
 
 def load_nodes() -> ForkServerContext:
-    """Begin to load the modules of the nodes in the fork server."""
+    """Start the fork server, which loads the modules of the nodes."""
     return begin_loading(['cnc_interp.nodes.preload_nodes'])
 
 
 def begin_child(name: str) -> None:
-    """Name a child of the fork server in ps; the child obeys only SIGTERM, even an earlier one."""
+    """Set the name of a child in ps. Of ``STOPS``, it obeys only SIGTERM, even if sent before."""
     os.setsid()
     for number in set(STOPS) - {signal.SIGTERM}:
         signal.signal(number, signal.SIG_IGN)
@@ -56,7 +56,7 @@ def begin_child(name: str) -> None:
 
 
 def _end() -> None:
-    """End the fork server and its helper, and wait until they have closed their files."""
+    """End the fork server and the resource tracker, and wait until they have ended."""
     server: Any = forkserver._forkserver
     helper: Any = resource_tracker._resource_tracker
     with contextlib.suppress(OSError):

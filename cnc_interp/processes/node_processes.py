@@ -1,4 +1,4 @@
-"""The four nodes as child processes of one fork server: started, watched and ended together."""
+"""Start, watch and end the four nodes, which are child processes of one fork server."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, load_node
 from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
-LOOK = 0.01  #: Time between checks whether the nodes have ended [s].
-#: A node that does not end within this time is killed; a machine may have to stop first [s].
+LOOK = 0.01  #: Time between two checks whether the nodes have ended [s].
+#: A node that has not ended after this time is killed [s]; its machine may have to stop first.
 LAST_WAIT = 10.0
 FAULT = 1  #: Exit code of a process after an uncaught Python error.
 
@@ -32,7 +32,7 @@ class Started:
 
     @property
     def code(self) -> int | None:
-        """Exit code of the node, as far as known; None while it lives."""
+        """Exit code of the node process; None while it is alive."""
         code = self.process.exitcode
         if code != SERVER_LOST:
             return code
@@ -61,7 +61,7 @@ def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: 
 
 
 class Children:
-    """The nodes of one run; ``parameters`` by node name, ``arguments``: remappings."""
+    """The node processes of one run; ``parameters`` and ``arguments``: by node name."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class Children:
         self._arguments = arguments or {}
         self._context = load_nodes()
         self.nodes: dict[str, Started] = {}
-        self.faults: dict[str, str] = {}  #: Last traceback of each node that ended with one.
+        self.faults: dict[str, str] = {}  #: Node -> last traceback that ended it.
         try:
             for node in NODES:
                 self.nodes[node] = self._start(node)
@@ -105,15 +105,15 @@ class Children:
         return Started(node, process, log)
 
     def check(self) -> None:
-        """Check that all nodes run; raise InterpError with the last output of a dead node."""
+        """Raise InterpError with the last output of a node if it has ended."""
         for node in self.nodes.values():
             if node.code is not None:
                 raise InterpError(f'{node.name} ended: {node.last_words}')
 
     def revive(self) -> dict[str, str]:
-        """Restart nodes that were killed or have crashed; return the reasons by name.
+        """Restart nodes that were killed or have crashed; return node -> reason.
 
-        Raises InterpError if a node has ended by itself, or has crashed again in the same way.
+        Raises InterpError if a node has exited, or has crashed again with the same error.
         """
         lost = {}
         for node in tuple(self.nodes.values()):
@@ -151,7 +151,7 @@ class Children:
 
 
 def process_start() -> float:
-    """Return the start of this process in monotonic time [s], to 0.01 s; if unknown, now."""
+    """Return when this process started, in monotonic time [s], to 0.01 s; if unknown, now."""
     try:
         told = Path('/proc/self/stat').read_text(encoding='ascii', errors='replace')
         ticks = int(told.rpartition(')')[2].split()[19])  # field 22, after the name and the state

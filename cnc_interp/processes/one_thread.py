@@ -1,8 +1,8 @@
-"""Restrict OpenBLAS to one thread; for small matrices, further threads would only busy-wait."""
+"""Restrict OpenBLAS to one thread: with small matrices, other threads would only busy-wait."""
 
 import os
 
-THREADS = 'OPENBLAS_NUM_THREADS'  #: Read when NumPy loads OpenBLAS.
+THREADS = 'OPENBLAS_NUM_THREADS'  #: Environment variable; OpenBLAS reads it at its start.
 
 
 def use_one_thread() -> None:

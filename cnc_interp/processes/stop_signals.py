@@ -1,17 +1,17 @@
-"""Ctrl-C, SIGTERM and a closed terminal, handled as a request in a loop, or later."""
+"""Handle Ctrl-C, SIGTERM and a closed terminal: as a request to a loop, or delayed."""
 
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-#: Signals that request the end of a command.
+#: Signals that request a command to end.
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
 def stop_signals() -> Iterator[list[int]]:
-    """Yield a list that is empty until a signal asks to stop."""
+    """Yield a list to which the number of each stop signal is appended."""
     stop: list[int] = []
     previous = {k: signal.signal(k, lambda found, _frame: stop.append(found)) for k in STOPS}
     try:
@@ -23,7 +23,7 @@ def stop_signals() -> Iterator[list[int]]:
 
 @contextmanager
 def stops_later() -> Iterator[None]:
-    """Delay signals until the end of the context, because ``rclpy`` loses their exceptions."""
+    """Delay stop signals until the context ends, because ``rclpy`` loses their exceptions."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

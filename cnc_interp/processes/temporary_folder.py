@@ -1,4 +1,4 @@
-"""Temporary folders that are removed soon after their process, even if it is killed."""
+"""Temporary folders that are removed after their process has ended, even if it was killed."""
 
 import contextlib
 import fcntl
@@ -7,11 +7,11 @@ import shutil
 import tempfile
 from pathlib import Path
 
-PREFIX = 'cnc_run_'  #: Short prefix, because paths of sockets are limited to 107 characters.
+PREFIX = 'cnc_run_'  #: Short, because the path of a socket has at most 107 characters.
 
 
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):
-    """A temporary folder that is locked while its process lives."""
+    """A temporary folder that is locked as long as its process is alive."""
 
     def __init__(self) -> None:
         super().__init__(prefix=PREFIX)
@@ -33,7 +33,7 @@ def remove_dead_folders() -> None:
 
 
 def is_unlocked(path: Path) -> bool:
-    """Return whether no living process holds a lock on a file or folder."""
+    """Return whether no process holds a lock on a file or folder."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,1 +1,1 @@
-"""The one chain from blocks to chunks of setpoints with stop tails."""
+"""Everything between the blocks of a program and chunks of setpoints with stop tails."""

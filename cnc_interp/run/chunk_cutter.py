@@ -1,7 +1,7 @@
-"""Stops along the path: the tail of each chunk, and the braking motion to another plan.
+"""Stops along the path: stop tails of chunks, and the speed at which another plan joins.
 
-A tail follows the plan to the next setpoint that has a stop, and then that stop. A plan that joins
-in motion is never slower there than a stop would be (``way_down``).
+A stop tail follows the plan to the next setpoint from which a stop is known, and then this stop.
+A plan that joins in motion is at first no slower than a stop would be (``way_down``).
 """
 
 from collections import deque
@@ -19,11 +19,11 @@ from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.course import STILL, Course, Leg
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Interpolator, Setpoints, Wait
 
-STOP_EVERY = 0.005  #: Time between setpoints at which a stop is searched [s].
-#: Length of the first part of a plan that joins in motion, which must be ready early, and time
-#: between stops in this part [s].
+STOP_EVERY = 0.005  #: Time between setpoints at which a stop is computed [s].
+#: A plan that joins in motion must be ready early: in its first part, of this duration, stops are
+#: computed at larger distances, of the second value [s].
 HASTE, HASTY_EVERY = 0.3, 0.02
-#: Part of every limit that ``way_down`` leaves free, so that there is room for other laws [-].
+#: Share of every limit that ``way_down`` leaves unused as a reserve for other motion laws [-].
 LEEWAY = 6e-3
 NO_SIGNALS = Signals()
 
@@ -40,7 +40,7 @@ class StopSearch:
     def stops(
         self, leg: Leg, piece: PlannedPiece, numbers: range
     ) -> Iterator[tuple[int, Setpoints]]:
-        """Yield numbers of setpoints of a slice, and the setpoints from each down to rest."""
+        """Yield number and stop for setpoints of a slice; the stop: setpoints down to rest."""
         ahead: AxisPath | None = None
         first = -(-(numbers.start + 1) // self._every) * self._every - 1
         for number in range(first, numbers.stop, self._every):
@@ -65,7 +65,7 @@ class FunctionQueue:
         self.done = 0  # by the machine
 
     def feed_share(self, block: IntArray, feed: float, spindle: float) -> FloatArray:
-        """Return the factor of overrides on the feed of blocks: M49 and G95 change it."""
+        """Return the factor on the feed of each block under overrides; M49 and G95 affect it."""
         if self._signals.spindle.speed < 0 or not (self._set or len(self._kept)):
             return np.full(len(block), feed)
         signals = self._signals
@@ -83,7 +83,7 @@ class FunctionQueue:
         return np.asarray(share * np.where(value(PER_TURN) == 0.0, 1.0, turns))
 
     def told(self, done: int) -> None:
-        """Record how many functions the machine has executed, at most those sent."""
+        """Record how many functions the machine has executed; it cannot be more than were sent."""
         self.done = min(done, max(self._sent, self.done))
 
     def push(self, functions: Functions) -> None:
@@ -97,7 +97,7 @@ class FunctionQueue:
         self._kept = Functions.concatenate([self._kept[drop:], functions])
 
     def between(self, before: int, last: int | None) -> tuple[Functions, int]:
-        """Return the functions after one block up to another or the end, and the first number."""
+        """Return functions after block ``before`` up to ``last``, and the number of the first."""
         kept, done = self._kept, self.done - self._first
         first = max(kept.until(before), min(max(done, 0), len(kept)))
         after = len(kept) if last is None else max(kept.until(last), first)
@@ -106,7 +106,7 @@ class FunctionQueue:
 
 
 class ChunkCutter:
-    """Cut the setpoints of one plan into chunks; keep those after the last known stop."""
+    """Cuts the setpoints of one plan into chunks. Those after the last known stop are kept."""
 
     def __init__(self, size: int, number: int, functions: FunctionQueue):
         self._size, self._functions, self._block = size, functions, -1  # the last block cut
@@ -150,7 +150,7 @@ class ChunkCutter:
         return chunks
 
     def _chunk(self, samples: Setpoints, tail: Setpoints, wait: Wait) -> Chunk:
-        """Return a chunk with its functions; an approach has none before cycle_start."""
+        """Return a chunk with its functions; the chunk before an approach has none."""
         if wait is Wait.APPROACH:
             return Chunk(samples, tail, wait)
         last = int(samples.block[-1])
@@ -163,7 +163,7 @@ class ChunkCutter:
 def way_down(
     pieces: Sequence[PlannedPiece], begin: float, ahead: AxisPath, table: FloatArray
 ) -> PlannedPiece | None:
-    """Return the motion from a time [s] to the next known stop, and then that stop."""
+    """Return the motion from time ``begin`` [s] to the first possible stop, and this stop."""
     driven: list[PlannedPiece] = []
     for piece in pieces:
         first, last = max(begin, float(piece.law.time[0])), piece.law.end_time
@@ -179,7 +179,7 @@ def way_down(
 
 
 def between(piece: PlannedPiece, begin: float, end: float) -> list[PlannedPiece]:
-    """Cut law and path at two times [s]; empty at the last instant, when no path is left."""
+    """Return the motion between two times [s]; [] if no path is left between them."""
     law = piece.law
     if end <= begin:
         return []

@@ -1,4 +1,4 @@
-"""The stage that checks clearances: after the axes, before the feed planner; only with a scene."""
+"""The stage that checks clearances, between kinematics and feed planner. It needs a scene."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from cnc_interp.collision.path_clearance import Certificates, PathClearance
 
 REFUSE = 'refuse'
-TIP_MOVES = 1e-9  #: If the tip moves less than this in a cell, it rests [m].
-PLACES = 20_000  #: Most places of the part whose excess is kept for the report.
+TIP_MOVES = 1e-9  #: A tip that moves less than this in a path cell rests [m].
+PLACES = 20_000  #: Number of surface points whose excess is stored for the report.
 
 
 def clearance_of(
     machine: Machine, settings: Settings, most_hits: int = 0, setup: str | None = None
 ) -> PathClearance | None:
-    """Return the check of a machine with the scene of the settings; None without a scene.
+    """Return the clearance check with the scene of the settings; None without a scene.
 
-    ``setup``: text of the setup with the tool table; by default, the file named by the settings.
+    ``setup``: text of the setup with the tool table; by default from the file in the settings.
     """
     if settings.scene is None:
         return None
@@ -45,27 +45,27 @@ def clearance_of(
 
 
 def setup_text(file: Path | None) -> str:
-    """Return the text of a setup file; empty if it does not exist yet."""
+    """Return the text of a setup file; '' if the file does not exist yet."""
     return '' if file is None or not file.is_file() else JobSetup.load(file).text()
 
 
 class ContactError(StreamError):
-    """Motion by hand stops before two bodies come too near each other."""
+    """Motion by hand was stopped, because two bodies would come too near each other."""
 
     def __init__(self, bodies: tuple[str, str], text: str):
         self.bodies = bodies
         super().__init__(text)
 
 
-#: Function that finds the first contact on straight moves between axis positions, (K, n) [m, rad].
-#: It returns a function that describes the contact and its distance for axes at rest at (n,).
+#: Function that finds the first contact on straight moves between axis positions (K, n) [m, rad].
+#: It returns None, or a function that makes the error from the positions at which the axes rest.
 Foresight = Callable[[FloatArray], Callable[[FloatArray], ContactError] | None]
 
 
 def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -> Foresight | None:
-    """Return the function that finds contacts ahead of motion by hand; None without a scene.
+    """Return the function that predicts contacts of motion by hand; None without a scene.
 
-    ``outputs``: values of the outputs, one of which is the number of the tool in the spindle.
+    ``outputs``: values of the outputs; one of them is the number of the tool in the spindle.
     """
     clearance = clearance_of(machine, settings, 1)
     if clearance is None:
@@ -96,7 +96,7 @@ def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -
 
 
 def _changed(file: Path | None) -> int:
-    """Return the time at which a file was written [ns]; 0 if it does not exist."""
+    """Return the modification time of a file [ns]; 0 if it does not exist."""
     return file.stat().st_mtime_ns if file is not None and file.exists() else 0
 
 
@@ -108,14 +108,14 @@ def _left(clearance: PathClearance, hit: Hit, tool: int, rest: FloatArray) -> Co
 
 
 class LiveClearance:
-    """Checks the parts of a run before the feed planner receives them; a hit ends the run."""
+    """Checks each part of a run's path before the feed planner gets it; a hit ends the run."""
 
     def __init__(self, clearance: PathClearance, mode: str, line_of: Callable[[int], int]):
         self._clearance, self._mode, self._line_of = clearance, mode, line_of
         self._functions = Functions.none()
-        #: Hits so far; the first one ends the run, unless hits only give warnings.
+        #: Hits so far. The first one ends the run, unless the settings demand only warnings.
         self.hits: list[Hit] = []
-        self.stock: CutStock | None = None  #: Stock at the end of the checked part.
+        self.stock: CutStock | None = None  #: Stock at the end of the part checked last.
 
     @staticmethod
     def of(
@@ -130,7 +130,7 @@ class LiveClearance:
         self._clearance.call_tools(self._functions)
 
     def check(self, path: AxisPath) -> None:
-        """Raise CollisionError if a part hits something; infinite feed means a rapid."""
+        """Raise CollisionError if a part of the path hits something. Infinite feed: a rapid."""
         from cnc_interp.collision.hits import CollisionError
 
         hits, _ = self._clearance.push(path, rapid_cells(path), self._line_of)
@@ -140,7 +140,7 @@ class LiveClearance:
             raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
 
     def pass_by(self, path: AxisPath) -> None:
-        """Cut the stock along a part before the position at which the run continues."""
+        """Cut the stock along a part of the path that this run does not execute again."""
         self._clearance.pass_by(path, rapid_cells(path), self._functions)
 
     def stock_text(self) -> str:
@@ -151,13 +151,13 @@ class LiveClearance:
 
 
 def rapid_cells(path: AxisPath) -> BoolArray:
-    """Return which cells are rapids: without a feed, and the tip moves."""
+    """Return which path cells are rapids: cells without a feed in which the tip moves."""
     moves = np.linalg.norm(np.diff(path.tip, axis=0), axis=1) > TIP_MOVES
     return np.asarray(np.isinf(path.cell_feed) & moves)
 
 
 class ClearanceStage:
-    """Checks a program while it is planned; ``hits`` has all hits up to now."""
+    """Checks a program while it is planned; ``hits``: all hits found so far."""
 
     def __init__(self, clearance: PathClearance, mode: str):
         self.clearance, self.mode = clearance, mode
@@ -179,7 +179,7 @@ class ClearanceStage:
         return bool(self.hits) and self.mode == REFUSE
 
     def rows(self, blocks: Blocks, functions: Functions | None = None) -> None:
-        """Receive more rows of the program, and its functions up to there."""
+        """Add the next rows of the executed program, and the functions up to their end."""
         self._rapid = np.concatenate([self._rapid, blocks.rapid])
         self._line = np.concatenate([self._line, blocks.line_number])
         if functions is not None:
@@ -192,12 +192,12 @@ class ClearanceStage:
         return found
 
     def program(self, blocks: Blocks, functions: Functions) -> None:
-        """Receive more rows of the whole program, when the run starts inside it."""
+        """Add the next rows of the whole program, if the run starts inside it."""
         self._whole = np.concatenate([self._whole, blocks.rapid])
         self._functions = functions
 
     def pass_by(self, path: AxisPath) -> None:
-        """Cut the stock along a part of the program that is not executed."""
+        """Cut the stock along a part of the path that is not executed."""
         self.clearance.pass_by(path, self._whole[path.cell_block], self._functions)
 
     def save_stock(self, directory: Path) -> None:
@@ -211,7 +211,7 @@ class ClearanceStage:
         (directory / 'stock.stl').write_bytes(content)
 
     def save_stages(self, directory: Path, count: int) -> None:
-        """Write about ``count`` stages of the stock for drawings; see ``stages_of``."""
+        """Write the stock surface at about ``count`` stages, for drawings; see ``stages_of``."""
         if self.clearance.stock is None or not count:
             return
         from cnc_interp.collision.rest import stages_of
@@ -225,7 +225,7 @@ class ClearanceStage:
         )
 
     def stock_columns(self) -> dict[str, dict[str, Any]]:
-        """Return the columns of the plan files about the stock; empty without one."""
+        """Return plan file -> columns for the files about the stock; {} without a stock."""
         if self.clearance.stock is None:
             return {}
         removal, remaining = self.clearance.stock.columns()
@@ -256,7 +256,7 @@ class ClearanceStage:
         return {'stock': found}
 
     def require(self, source: str) -> None:
-        """Reject a program that hits something, with a line for each hit."""
+        """Raise an error with a line for each hit, if there are hits and they are not allowed."""
         from cnc_interp.collision.hits import CollisionsError
 
         if self.refused:

@@ -1,4 +1,4 @@
-"""The path of a run that is still needed, divided into legs from rest to rest."""
+"""The part of a run's path that is still needed, divided into legs from rest to rest."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
-PORTION = 500  #: Cells of the path planned at a time.
-FINE = 64  #: Cells planned at a time while the drives wait for the first setpoint.
-AHEAD = 4000  #: Largest number of cells of the path that a stop may use.
-ENVELOPE = 24  #: Number of cells on the way down to a lower feed.
-ABOVE = 1.02  #: Feed allowed on the way down, as a multiple of the fastest stop [-].
-SAME = 1e-13  #: Places nearer than this are equal; every cell is longer [m].
-#: Settings of the planner in a run, which does not need the least time.
+PORTION = 500  #: Number of path cells planned in one call.
+FINE = 64  #: The same at the beginning, while the drives wait for setpoints.
+AHEAD = 4000  #: Largest number of path cells that are available for a stop.
+ENVELOPE = 24  #: Number of cells into which the way of a stop is divided.
+ABOVE = 1.02  #: Feed allowed on the way of a stop, over the speed of the stop [-].
+SAME = 1e-13  #: Path positions nearer than this are equal; every cell is longer [m].
+#: Planner options in a run: no lower bound of the motion time is computed.
 LIVE = PlanOptions(bound=False)
-#: Length of the slices in which motion is sampled; an override change waits for one slice [s].
+#: Duration of the slices in which motion is sampled. A change of override waits for one slice [s].
 SLICE = 0.1
-STILL = 1e-9  #: Below this speed the end of a law counts as rest [m/s].
-SAME_TIME = 1e-9  #: Times nearer than this are the same [s].
+STILL = 1e-9  #: A motion law that ends below this speed ends at rest [m/s].
+SAME_TIME = 1e-9  #: Times nearer than this are equal [s].
 
 
 class Course:
@@ -47,7 +47,7 @@ class Course:
         return portions
 
     def lead(self, way: AxisPath, s: float) -> None:
-        """Replace the path before a position [m] by another path that ends at rest."""
+        """Replace the path before position ``s`` [m] by path ``way``, which ends there at rest."""
         self.items = deque([way, Wait.NOTHING, *self.after(s)])
 
     def release(self, s: float) -> None:
@@ -70,7 +70,7 @@ class Course:
         return (item for item in self.items if isinstance(item, AxisPath))
 
     def ahead(self, s: float) -> AxisPath:
-        """Return the path from the part that contains s [m] to the end of its leg."""
+        """Return the path up to the end of the leg, from the part that contains ``s`` [m]."""
         parts: list[AxisPath] = []
         cells = 0
         for item in self.items:
@@ -85,7 +85,7 @@ class Course:
         return AxisPath.join(parts)
 
     def rest_at(self, s: float) -> Setpoints | None:
-        """Return the setpoint of a machine at rest at a place [m]; None if it has been dropped."""
+        """Return the setpoint at rest at path position ``s`` [m]; None if the path is dropped."""
         path = next((p for p in self._parts() if p.s[0] - SAME <= s <= p.s[-1] + SAME), None)
         if path is None:
             return None
@@ -98,7 +98,7 @@ class Course:
         return next((self.rest_at(float(part.s[0])) for part in self._parts()), None)
 
     def after(self, s: float) -> deque[AxisPath | Wait]:
-        """Return all items after a place [m]; the part that contains it is cut there."""
+        """Return all items after path position ``s`` [m]; a part that contains it is cut there."""
         rest: deque[AxisPath | Wait] = deque()
         passed = False
         for item in self.items:
@@ -118,7 +118,7 @@ def portions_of(path: AxisPath, cells: int) -> list[AxisPath]:
 
 
 def finely(items: deque[AxisPath | Wait]) -> deque[AxisPath | Wait]:
-    """Cut the first parts into small portions, so that the first motion is planned soon."""
+    """Divide the first parts into small portions, so that the first motion is planned soon."""
     rest: deque[AxisPath | Wait] = deque()
     cells = 0
     for item in items:
@@ -138,7 +138,7 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
 
 
 def to_place(path: AxisPath, s: float) -> AxisPath | None:
-    """Return the part before a place; None if there is none."""
+    """Return the path before position ``s`` [m]; None if there is none."""
     nearest = int(np.argmin(np.abs(path.s - s)))
     if abs(path.s[nearest] - s) <= SAME:
         return cut(path, 0, nearest) if nearest else None
@@ -148,9 +148,9 @@ def to_place(path: AxisPath, s: float) -> AxisPath | None:
 def feed_under(
     path: AxisPath, limits: Limits, feed: FloatArray | float, rapid: FloatArray | float
 ) -> FloatArray:
-    """Return the feed of each cell under factors on it, and on the speed of rapids [m/s].
+    """Return the feed of each path cell with overrides [m/s].
 
-    The factors are numbers, or arrays with one for each cell; on rapids they are at most 1 [-].
+    ``feed``, ``rapid``: factors on the feed, and on the speed of rapids (at most 1) [-]: numbers,
     """
     found = np.asarray(path.cell_feed * feed)
     rapids = np.isinf(path.cell_feed)
@@ -166,7 +166,7 @@ def feed_under(
 def slowed(
     path: AxisPath, scaled: Callable[[AxisPath], FloatArray], way_down: PlannedPiece | None
 ) -> AxisPath:
-    """Scale the feed of a part; during a stop it is at least the speed of the stop."""
+    """Scale the feed of a part; along the stop ``way_down`` it is at least the stop's speed."""
     if way_down is None or path.s[0] >= way_down.path.s[-1]:
         return replace(path, cell_feed=scaled(path))
     law = way_down.law
@@ -195,7 +195,7 @@ def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
 
 
 def without_long_rows(law: MotionLaw) -> MotionLaw:
-    """Divide rows that are longer than a slice, because a slow line may last many minutes."""
+    """Divide the rows of a law that last longer than a slice; a slow line may last minutes."""
     parts = np.maximum(1, np.ceil(law.duration / SLICE - 1.0)).astype(np.int64)
     if (parts == 1).all():
         return law
@@ -222,7 +222,7 @@ class Leg:
         self.slices: deque[PlannedPiece] = deque()
         self.wait: Wait | None = None
         self.moves = False
-        #: Number in the stream of the sample at time 0, once one is taken.
+        #: Number of the setpoint at time 0; whether it is known because sampling has begun.
         self.number_of_zero, self.sampled = 0, False
 
     def push(self, path: AxisPath) -> None:
@@ -246,7 +246,7 @@ class Leg:
         return float(self.slices[-1].law.end_time - self.slices[0].law.time[0])
 
     def state_at(self, number: int, piece: PlannedPiece) -> tuple[float, float, float]:
-        """Return s, s_dot and s_ddot at a sample of its slice [m, m/s, m/s2]."""
+        """Return s, s_dot and s_ddot at setpoint ``number`` of slice ``piece`` [m, m/s, m/s2]."""
         time = (number - self.number_of_zero) * self.period
         s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
         rests = time >= piece.law.end_time - SAME_TIME and v < STILL  # after the last slice

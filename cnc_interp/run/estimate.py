@@ -1,4 +1,4 @@
-"""The time of a program without plan files: it is planned as usual, but not sampled."""
+"""Estimate the time of a program: it is planned as usual, but its motion is not sampled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class _TimesOnly(ProgramTimes):
     setpoints = None
 
     def segments(self, _: Any) -> None:
-        """Accept segments, whose time is not known yet."""
+        """Do nothing: the time of segments is not known yet."""
 
     certificates = segments
 
@@ -29,10 +29,10 @@ class Estimate:
     program: str
     machine: str
     sections: list[ToolSection]
-    stops: int  #: Number of waits for the operator, whose time is unknown.
-    #: Scatter of recorded runs about the fit, as a share of the motion; 0 if unknown.
+    stops: int  #: Number of waits for the operator; they take an unknown time.
+    #: Error of motion times in recorded runs (95 %), as a share [-]; 0 if unknown.
     scatter: float
-    #: Spindle speeds at which start and stop were not measured [rev/min].
+    #: Speeds of the spindle for which no start and stop times are measured [rev/min].
     other_speeds: tuple[float, ...] = ()
 
     @property
@@ -42,7 +42,7 @@ class Estimate:
 
     @property
     def half_width(self) -> float:
-        """Half of the interval of 95 % of the total time [s]; 0: not known.
+        """Half width of the 95 % interval of the total time [s]; 0: unknown.
 
         Spindle times at speeds that were not measured may be wrong by 50 %.
         """
@@ -70,7 +70,7 @@ def estimate(
     progress: Callable[[float], None] = lambda _: None,
     overrides: tuple[float, float] = (1.0, 1.0),
 ) -> Estimate:
-    """Return the time of a program; raises InterpError like planning does.
+    """Return the estimated time of a program; raises InterpError if it cannot be planned.
 
     ``overrides``: factors on the feed and on the speed of rapids [-].
     """

@@ -1,8 +1,8 @@
-"""Choose positions of a rail or a positioner for a program that never moves it.
+"""Choose the positions of a rail or positioner for a program that does not move it.
 
-These joints rest while the tool cuts. If the arm cannot follow a cut from their current position,
-they move during the rapid moves before it. Among the positions from which most spins of the tool
-can follow the cut, the nearest one is taken.
+These joints rest during a cut. If the arm cannot follow a cut with the joints where they are, they
+move during the rapid moves before the cut. Their new position is the one with which the arm can
+follow the cut at the most spins of the tool. Among several, the nearest is chosen.
 """
 
 from dataclasses import replace
@@ -16,13 +16,13 @@ from cnc_interp.machine_model.joint_chain import JointChain
 from cnc_interp.machine_model.machine import arm_of
 from cnc_interp.program.blocks import Blocks
 
-SPINS = np.arange(8) * 45.0 * DEG  #: Spins that are tried, from that of the machine file on.
-TRIED = 13  #: Number of positions of each joint that are tried over its travel, or one turn.
-POSES = 200  #: Number of poses that are followed on a cut.
+SPINS = np.arange(8) * 45.0 * DEG  #: Spins that are tried, relative to that of the machine file.
+TRIED = 13  #: Tried positions per joint, over its travel or one turn.
+POSES = 200  #: Number of poses on a cut that the arm must follow.
 
 
 def placed(blocks: Blocks, chain: JointChain) -> Blocks:
-    """Return blocks with chosen positions of further joints, if the program moves none."""
+    """Return blocks with chosen positions of further joints, unless the program moves them."""
     extra = blocks.extra.copy()
     if not extra.shape[1] or (extra != arm_of(chain.machine).home[ARM:]).any():
         return blocks
@@ -65,7 +65,7 @@ def _place(chain: JointChain, tip: FloatArray, axis: FloatArray, here: FloatArra
 
 
 def _spins(chain: JointChain, tip: FloatArray, axis: FloatArray, place: FloatArray) -> int:
-    """Return the number of spins with which the arm follows poses (m, 3) from a position (k,)."""
+    """Return at how many spins the arm follows m poses; ``place`` (k,): further joints."""
     count, rows, (low, high) = 0, np.tile(place, (len(tip), 1)), chain.machine.travel.T
     for spin in chain.spin + SPINS:
         spun = chain.spun(float(spin))

@@ -1,4 +1,4 @@
-"""The motion of one run: plans along its path, sampled and cut into chunks with stop tails."""
+"""The motion of one run: plans along its path are sampled and cut into chunks."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
     from cnc_interp.machine_model.signals import Signals
 
-#: A revision does not join a motion that stops within this time [s], because the jerk stage cannot
-#: resolve the path of a few periods. The motion stops, and the revision continues from rest.
+#: If a stop takes less time than this, a revision does not join in motion: the jerk stage cannot
+#: plan a path of a few periods [s]. The motion stops, and the revision continues from rest.
 BRIEF = 0.01
 
 
@@ -67,7 +67,7 @@ class MotionPlan:
         self._todo.extend(items)
 
     def release(self, s: float) -> float:
-        """Drop the motion before a place [m]; return where the kept motion begins."""
+        """Drop the motion before path position ``s`` [m]; return where the rest begins [m]."""
         while len(self._history) > 1 and self._history[1][1].law.s[0] < s:
             self._history.popleft()
         return float(self._history[0][1].law.s[0]) if self._history else -math.inf
@@ -100,7 +100,7 @@ class MotionPlan:
         leg.push(slowed(item, self._scaled, self._way_down))
 
     def _scaled(self, path: AxisPath) -> FloatArray:
-        """Return the feed of each cell of a part under the overrides, shape (N - 1,) [m/s]."""
+        """Return the feed of each cell of a part with the overrides, shape (N - 1,) [m/s]."""
         settings = self.settings
         share = self._stream.functions.feed_share(
             path.cell_block, settings.override, settings.spindle
@@ -115,7 +115,7 @@ class MotionPlan:
         return self._legs[-1]
 
     def _until_pause(self, part: AxisPath) -> AxisPath | Wait:
-        """Cut a part where the machine waits for cycle_start; the remainder is planned later."""
+        """Return the part up to the next wait for cycle_start, or this wait; queue the rest."""
         found = self._pause(part)
         if found is None:
             return part
@@ -176,7 +176,7 @@ class MotionPlan:
             self._last = samples[-1:]
 
     def state_at(self, number: int) -> tuple[Leg, tuple[float, float, float]] | None:
-        """Return leg and (s, s_dot, s_ddot) at a setpoint; None if it has been dropped."""
+        """Return leg and (s, s_dot, s_ddot) at setpoint ``number``; None if it was dropped."""
         for leg, piece in reversed(self._history):
             time = (number - leg.number_of_zero) * self._stream.period
             if time >= piece.law.time[0] - 1e-9:
@@ -195,7 +195,7 @@ class MotionPlan:
 
 
 class MotionStream:
-    """The path of one run and its current plan: takes the path and returns chunks of setpoints."""
+    """The path of one run, and the current plan along it, which makes chunks of setpoints."""
 
     def __init__(
         self,
@@ -209,9 +209,9 @@ class MotionStream:
     ):
         self.limits = limits_of(limits)
         self.period, self.chunk_size, self.tool = period, chunk_size, tool
-        self.line_of = line_of  #: Source line of a block; single block stops where it changes.
+        self.line_of = line_of  #: Function block -> source line. Single block stops between lines.
         self.course, self.functions = Course(), FunctionQueue(signals)
-        #: Blocks after which the machine waits for cycle_start, and why (M0, M1).
+        #: Block -> wait after it, for M0, M1 and functions.
         self.pause_blocks: dict[int, Wait] = {}
         self.current = MotionPlan(self, settings or OperatorSettings(), deque())
 
@@ -226,11 +226,11 @@ class MotionStream:
         self.current.extend([wait])
 
     def release(self, s: float) -> None:
-        """Drop executed motion that can no longer be needed."""
+        """Drop motion that the machine has executed up to ``s`` [m] and that is not needed."""
         self.course.release(min(s, self.current.release(s)))
 
     def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
-        """Replan after a setpoint that was already sent; None if no stop is known there."""
+        """Return a plan that joins after setpoint ``number``; None if no stop is known there."""
         found = self.current.state_at(number)
         if found is None:
             return None
@@ -265,7 +265,7 @@ class MotionStream:
         return before
 
     def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
-        """Replan from rest at s [m], numbered from 0; ``way`` is the path to s, at s < 0."""
+        """Replan from rest at ``s`` [m]; numbers begin at 0. ``way``: path to s, with s < 0."""
         if way is not None:
             self.course.lead(way, s)
             s = float(way.s[0])

@@ -1,7 +1,7 @@
-"""A feed planner with several processes, while this one smooths, interpolates and writes.
+"""Plan the feed in several processes, while this one smooths, interpolates and writes.
 
-Stretches between exact stops are planned by different processes, each from time zero. Their times
-are shifted afterwards, so that the result has the same bits as that of ``FeedPlanner``.
+Different processes plan the stretches between exact stops, each from time zero. Afterwards the
+times are shifted. The result agrees bit for bit with that of ``FeedPlanner``.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
 
-ENOUGH = 500  #: Work in a section, in path cells; about 0.1 s of planning.
-#: Work added per rest: a short stroke costs as much as this many cells on a long path.
+ENOUGH = 500  #: Least work of a section, in path cells; about 0.1 s of planning.
+#: Work that is added for each rest, because short strokes cost more; in path cells.
 STROKE = 20
-#: Option of ``prctl``: the signal that a process receives when its parent has died.
+#: Option of ``prctl`` that sets the signal which a process gets when its parent dies.
 PARENT_DEATH_SIGNAL = 1
-AHEAD = 4  #: Number of sections assigned ahead to each process.
+AHEAD = 4  #: Number of sections that each process may have in its queue.
 
 
 @dataclass(frozen=True)
 class PathSection:
-    path: AxisPath  #: The part.
-    rests: bool  #: Whether the motion rests at its end.
+    path: AxisPath  #: Path of the section.
+    rests: bool  #: Whether the motion rests at the end of the section.
 
 
 class RestSections:
@@ -83,14 +83,14 @@ class RestSections:
 
 
 class LostProcessError(InterpError):
-    """A planning process has been killed."""
+    """A planning process was killed."""
 
 
 @dataclass(frozen=True)
 class Planning:
     limits: Limits  #: Limits of the axes.
     options: PlanOptions  #: Settings of the planner.
-    tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
+    tool: ToolLimit | None = None  #: Limit of the tool error that the drives cause.
 
     def planner(self) -> FeedPlanner:
         return FeedPlanner(self.limits, self.options, tool=self.tool)
@@ -112,7 +112,7 @@ class PlannerProcess:
         self.waiting += 1
 
     def take(self) -> list[PlannedPiece]:
-        """Return the motion of the next section, or raise its refusal."""
+        """Return the motion of the next section, or raise the error of its planning."""
         try:
             answer = self.results.recv()
         except (EOFError, OSError):
@@ -138,7 +138,7 @@ def _live(
     sections: multiprocessing.Queue[PathSection | None],
     results: Connection,
 ) -> None:
-    """Plan sections until the parent ends this process or dies."""
+    """Plan sections until the parent process kills this one, or dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears Ctrl-C
     for number in (signal.SIGTERM, signal.SIGHUP):  # not the handler of the parent
         signal.signal(number, signal.SIG_DFL)
@@ -197,7 +197,7 @@ class ParallelPlanner:
         return self._collected(0)
 
     def refuse(self) -> None:
-        """Plan the path so far, and raise its refusal if there is one."""
+        """Plan the path received so far; raise the error if it cannot be planned."""
         for section in self._sections.finish():
             self._give(replace(section, rests=False))
         self._collected(0)
@@ -210,7 +210,7 @@ class ParallelPlanner:
             process.kill()
 
     def _give(self, section: PathSection) -> None:
-        """Give a section to the process that began its stretch, or to that with the least work."""
+        """Queue a section for the process that began its stretch, else for the least busy one."""
         if not self._processes:
             # All are forked at once, because a process with threads must not fork.
             self._processes = [PlannerProcess(self._planning) for _ in range(self._most)]
@@ -220,14 +220,14 @@ class ParallelPlanner:
         self._moving = None if section.rests else process
 
     def _collected(self, most: int) -> list[PlannedPiece]:
-        """Return the motion of the first sections, until at most ``most`` are left."""
+        """Return the motion of finished sections; wait until at most ``most`` are pending."""
         pieces: list[PlannedPiece] = []
         while self._given and (len(self._given) > most or self._given[0].results.poll()):
             pieces += self._on_the_clock(self._given.popleft().take())
         return pieces
 
     def _on_the_clock(self, pieces: list[PlannedPiece]) -> list[PlannedPiece]:
-        """Shift a motion to the end of the preceding one, adding times as ``Stretch.law`` does."""
+        """Shift a motion to the end of the preceding one; add times as ``Stretch.law`` does."""
         placed = []
         for piece in pieces:
             law = piece.law

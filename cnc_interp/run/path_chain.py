@@ -1,4 +1,4 @@
-"""From blocks to smooth segments and the path in machine axes; compares stops at corners."""
+"""Convert blocks to smooth segments and the path in machine axes; choose stops at corners."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +25,9 @@ from cnc_interp.smoothing.stop_choice import Way
 Arguments = ParamSpec('Arguments')
 Made = TypeVar('Made')
 
-#: Number of blocks processed together; the samples of their corners take up to 3 MB.
+#: Number of blocks per call; the samples of their corners need up to 3 MB.
 BATCH = 1024
-#: A stop, or lines instead of a curve, must save this share of the time of an alternative [-].
+#: A stop, or lines instead of a curve, must save at least this share of the time [-].
 WORTH = 5e-5
 
 
@@ -52,15 +52,15 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class PathPart:
-    segments: PathSegments  #: Final segments; possibly none.
+    segments: PathSegments  #: Segments that are final; there may be none.
     path: AxisPath | None  #: Their path in machine axes; None without segments.
 
 
 class PathChain:
     """Converts blocks to segments and their path in machine axes.
 
-    ``spun``: an arm in its first configuration and the spins for ``AxisPathBuilder``, if chosen;
-    ``stands``: as in ``AxisPathBuilder``.
+    ``spun``: for an arm with chosen spins, the arm in its first configuration and the spins for
+    ``AxisPathBuilder``; ``stands``: as in ``AxisPathBuilder``.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class PathChain:
 
     @property
     def stops(self) -> IntArray:
-        """Program rows of all corners up to now at which a stop is faster."""
+        """Rows of all corners so far at which a stop is faster than rounding."""
         return np.array(self._smoother.stops, dtype=np.int64)
 
     @property
@@ -105,7 +105,7 @@ def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
 def is_faster(
     transform: Transform, settings: Settings, ways: Sequence[Way], others: Sequence[Way]
 ) -> bool:
-    """Return whether the fastest of some alternatives beats the fastest of the others."""
+    """Return whether the fastest of ``ways`` is faster than the fastest of ``others``."""
     first, second = (
         min((way_time(transform, settings, way) for way in some), default=np.inf)
         for some in (ways, others)
@@ -114,7 +114,7 @@ def is_faster(
 
 
 def way_time(transform: Transform, settings: Settings, way: Way) -> float:
-    """Return the time of an alternative [s]; infinite if the machine cannot execute it."""
+    """Return the motion time of a ``Way`` [s]; infinite if the machine cannot execute it."""
     # Every corner is rounded, and every run of short blocks becomes a curve.
     smoother = PathSmoother(_with_curves(settings, way.curves), traits_of(transform))
     period = settings.interpolation_period

@@ -1,4 +1,4 @@
-"""Figures of a plan for `summary.json`, updated with every batch."""
+"""The figures of a plan in `summary.json`; they are updated with every batch."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class ToleranceUse:
-    """Compares certified deviations with tolerances, which are stored where they change."""
+    """Compares certified deviations with the tolerances of blocks; only changes are stored."""
 
     def __init__(self) -> None:
         self._marks = np.zeros((0, 4))
@@ -90,7 +90,7 @@ class PlanFigures:
         self._tool_error = np.zeros(2)  # of the tip, and of the axis at flank height [m]
         self.functions = Functions.none()
         self.start: StartPlace | None = None  # where the run started, if not at the top
-        #: Result of the clearance check, if the plan has a scene.
+        #: Result of the clearance check; None without a scene.
         self.clearance: dict[str, Any] | None = None
         self.cut = ''  # where a record ends before the program does
         self.waits_first: bool | None = False  # for the operator (M0); a record does not tell
@@ -171,7 +171,7 @@ class PlanFigures:
         overrides: Sequence[OverrideStep] = NOMINAL,
         setup: str = '',
     ) -> dict[str, Any]:
-        """Return the summary, SI units; ``seconds`` is the planning time of each stage, if any."""
+        """Return the summary in SI units; ``seconds``: planning stage -> computing time [s]."""
         if self._last is not None:
             self._measure(np.repeat(self._last[-1:], BEFORE, axis=0))  # stays where it is
         error = None
@@ -232,7 +232,7 @@ class PlanFigures:
 
 
 def clearance_text(found: Mapping[str, Any]) -> str:
-    """Return one line with the result of the clearance check."""
+    """Return the result of the clearance check in one line."""
     hits, nearest = len(found['hits']), found['nearest']
     told = f'{found["bodies"]} bodies, {found["pairs"]} pairs'
     if hits:
@@ -245,7 +245,7 @@ def clearance_text(found: Mapping[str, Any]) -> str:
 
 
 def collision_text(summary: Mapping[str, Any]) -> str:
-    """Return one line with the result of the clearance check and the remaining stock."""
+    """Return the result of the clearance check, and the stock figures, in one line."""
     if not (found := summary.get('collision')):
         return ''
     stock = f'; stock: {stock_text(found["stock"])}' if 'stock' in found else ''
@@ -253,7 +253,7 @@ def collision_text(summary: Mapping[str, Any]) -> str:
 
 
 def stock_text(found: Mapping[str, Any]) -> str:
-    """Return one line with the removed volume, and the excess and gouge against the part."""
+    """Return the removed volume, and excess and gouge compared with the part, in one line."""
     cubic = MM**3
     told = f'{found["removed"] / cubic:.4g} of {found["volume"] / cubic:.4g} mm3 removed'
     told += f', on a grid of {found["grid"] / MM:g} mm'
@@ -264,7 +264,7 @@ def stock_text(found: Mapping[str, Any]) -> str:
 
 
 def bound_text(summary: Mapping[str, Any]) -> str:
-    """Return the lower bound of the motion time as text; '' if not computed."""
+    """Return a text with the lower bound of the motion time; '' if it was not computed."""
     least = summary['time_bound']
     if least is None:
         return ''
@@ -275,7 +275,7 @@ def bound_text(summary: Mapping[str, Any]) -> str:
 
 
 def windows_text(windows: Mapping[str, Any]) -> str:
-    """Return how the windows were solved; '' if all have converged."""
+    """Return a text about planning windows that have not converged; '' if all have."""
     if not any(windows[how] for how in SOLVED_BY[1:]):
         return ''
     told = ', '.join(f'{windows[how]} {how}' for how in SOLVED_BY if windows[how])
@@ -292,7 +292,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit or a tolerance is rounding.
+ROUNDING = 1.001  #: Larger multiples of a limit or tolerance exceed it; 0.1 % is rounding.
 
 
 def excesses(
@@ -315,7 +315,7 @@ def excesses(
 
 
 def tool_error_text(error: Mapping[str, float], height: float) -> str:
-    """Return the largest errors at the tool as text; ``height``: flank height [m]."""
+    """Return a text with the largest tool errors; ``height``: flank height [m]."""
     return (
         f'tool error     tip {error["tip"] / MM:.4f} mm, axis {error["axis"] / MM:.4f} mm at '
         f'{height / MM:g} mm; limit {error["limit"] / MM:g} mm, by the drives of the machine file'

@@ -1,4 +1,4 @@
-"""Write setpoints and their origins to plan files during planning, with constant memory."""
+"""Write the plan files during planning, in constant memory."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from cnc_interp.collision.path_clearance import Certificates
 
 Columns = Mapping[str, NDArray[Any]]
-#: Columns of shape (4, cells, axes), which grow along their second axis.
+#: Columns of shape (4, cells, axes); they grow along their second dimension.
 _CELLS = ('cell_left', 'cell_right')
-#: Columns of ``blocks.npz`` with the same name as in ``Blocks``.
+#: Columns that have the same name in ``blocks.npz`` and in ``Blocks``.
 _AS_IN_BLOCKS = (
     'contour_tolerance',
     'orientation_tolerance',
@@ -51,12 +51,12 @@ _AS_IN_BLOCKS = (
 #: Files that only some plans have.
 SELDOM = 'functions', 'followed', 'collision', 'removal', 'remaining', 'rest'
 SETPOINT_COLUMNS = {name: of for name, of in Setpoints.declared.items() if of.in_plans}
-#: Number of path cells, and of setpoints, collected before they are measured and written.
+#: Number of path cells, and of setpoints, that are collected before they are written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 
 class PlanWriter:
-    """Writes the plan files of one program, as a context; they exist only after ``finish``."""
+    """Context manager that writes the plan files of a program; they exist after ``finish``."""
 
     def __init__(self, directory: Path, machine: Machine, settings: Settings):
         self._directory, self._height = directory, settings.flank_height
@@ -71,7 +71,7 @@ class PlanWriter:
             for name in ('blocks', 'segments', 'path', 'setpoints', *SELDOM)
         }
         self.functions = Functions.none()
-        #: Functions, and numbers of the setpoints at which they acted.
+        #: Number of the setpoint at which each function acted; None if the plan was not executed.
         self.acted: IntArray | None = None
         self._tip: FloatArray | None = None  # of the last block
         self._path: tuple[AxisPath, FloatArray] | None = None  # the last cell, and its s_dot
@@ -101,7 +101,7 @@ class PlanWriter:
             self._archives['segments'].append(segments.columns())
 
     def piece(self, piece: PlannedPiece) -> None:
-        """Write the path of the next piece; InterpError if its setpoints exceed the disk space."""
+        """Write the path of the next piece; InterpError if its setpoints would fill the disk."""
         axes = len(self._machine.axis_names)
         row = 8.0 * sum(axes if of.tail else 1 for of in SETPOINT_COLUMNS.values())
         needed = 2.0 * row * piece.law.end_time / self._period  # columns, then the archive
@@ -116,7 +116,7 @@ class PlanWriter:
         self.path(piece.path, piece.law.s_dot)
 
     def path(self, path: AxisPath, speed: FloatArray) -> None:
-        """Write the next part of the path, with s_dot at the left end of each cell [m/s]."""
+        """Write the next part of the path; ``speed``: s_dot at the left end of each cell [m/s]."""
         self._paths.append((path, speed))
         self._gathered += len(path.s)
         if self._gathered >= CELLS_AT_ONCE:
@@ -191,7 +191,7 @@ class PlanWriter:
         overrides: Sequence[OverrideStep] = NOMINAL,
         setup: str = '',
     ) -> dict[str, Any]:
-        """Put the files together and return the summary; see ``PlanFigures.summary``."""
+        """Complete the plan files and return the summary; see ``PlanFigures.summary``."""
         self._write_path()
         self._write_setpoints()
         if self._path is not None:
@@ -253,7 +253,7 @@ class _Archive:
 
 
 class _Column:
-    """A growing column; if it grows along its second axis, each row has its own file (lane)."""
+    """A growing column. If it grows along its second axis, each row has its own file (lane)."""
 
     def __init__(self, file: Path, like: NDArray[Any], name: str):
         self._along, self._count = int(name in _CELLS), 0
@@ -285,7 +285,7 @@ def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[
 
 
 def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> FloatArray:
-    """Return the speed of each row, (n,) [m/s]; infinite for turns of a resting tip."""
+    """Return the programmed tip speed of each row, (n,) [m/s]; infinite if the tip rests."""
     before = blocks.tip[:1] if tip_before is None else tip_before[None]
     length = np.sqrt((np.diff(blocks.tip, axis=0, prepend=before) ** 2).sum(axis=1))
     timed = np.isfinite(blocks.duration) & (length > 0.0)

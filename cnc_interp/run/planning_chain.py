@@ -1,4 +1,4 @@
-"""The whole chain without ROS: from blocks by segments, axes and motion law to setpoints."""
+"""The whole planning without ROS: blocks, segments, axes, motion law, setpoints."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -26,7 +26,7 @@ from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-#: Stages whose time is reported, in order.
+#: Planning stages, in order; their computing times are reported.
 STAGES = ('smoothing', 'kinematics', 'collision', 'feedrate', 'interpolation')
 
 
@@ -37,7 +37,7 @@ class Sink(Protocol):
 
     @property
     def setpoints(self) -> Callable[[Setpoints], None] | None:
-        """Consumer of setpoints; None if motion is not sampled."""
+        """Function that receives the setpoints; None if the motion is not sampled."""
 
 
 class Chain:
@@ -75,7 +75,7 @@ class Chain:
 
     @contextmanager
     def refusals_in_order(self) -> Iterator[None]:
-        """Raise the first refusal in program order, even if reading is ahead of planning."""
+        """Context: raise the first error in program order; reading is ahead of planning."""
         try:
             yield
         except PlanningError:
@@ -132,7 +132,7 @@ def plan_to_files(
     save_stock: bool = False,
     stages: int = 0,
 ) -> dict[str, Any]:
-    """Plan a program while it is read and write its plan files; memory does not grow with it.
+    """Plan a program while it is read, and write its plan files, in constant memory.
 
     ``progress``: called with the planned share; ``processes``: number of planning processes, which
     does not change the files; ``save_stock``: whether to write the remaining stock; ``stages``:
@@ -162,9 +162,9 @@ def plan_to_files(
 def spun_for(
     program: Blocks, transform: Transform, settings: Settings
 ) -> tuple[Blocks, tuple[Transform, FloatArray] | None, str]:
-    """Return a whole program, what ``Chain`` takes as ``spun`` for it, and how it was chosen.
+    """Choose the spins of an arm; return blocks, argument ``spun`` of ``Chain``, and a text.
 
-    The blocks may have other positions of a rail or positioner, see ``further_joints.py``.
+    The blocks have chosen positions of a rail or positioner, see ``further_joints.py``.
     """
     if settings.spin == 'fixed' or not isinstance(transform, JointChain):
         return program, None, ''
@@ -189,7 +189,7 @@ def planned(
     progress: Callable[[float], None] = lambda _: None,
     overrides: tuple[float, float] = (1.0, 1.0),
 ) -> Iterator[Chain]:
-    """Context in which a program is planned into a sink while it is read; yields the chain."""
+    """Context: plan a program while it is read; ``sink`` receives the plan. Yields the chain."""
     parts = iter(stream)
     spun = None
     if settings.spin != 'fixed' and transform.machine.arm is not None:

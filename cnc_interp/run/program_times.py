@@ -1,4 +1,4 @@
-"""The time of a program by tool and operation: motion, and rests of the path."""
+"""The time of a program by tool and operation: motion, and times at rest."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import STOP, Blocks
 from cnc_interp.program.blocks.functions import Functions
 
-#: A program line with only a comment, which names an operation.
+#: A program line that is only a comment: it names an operation.
 _NAME = re.compile(r'\s*(?:N\d+\s*)?(?:\(([^()]*)\)|;(.*)|\$\$(.*)|PPRINT\s*/(.*))\s*', re.I)
 CHANGE, DWELL = 'M6', 'G4'
 
 
 @dataclass(frozen=True)
 class Times:
-    """Parts of the time of a program, or of a section of it [s]."""
+    """Time of a program or a section, by what it is spent on [s]."""
 
     cutting: float = 0.0
     rapid: float = 0.0
     dwell: float = 0.0
-    spindle: float = 0.0  #: Time for the spindle to start or stop.
+    spindle: float = 0.0  #: Starting and stopping the spindle.
 
     @property
     def total(self) -> float:
@@ -41,19 +41,19 @@ class Times:
 
 @dataclass(frozen=True)
 class Operation:
-    line: int  #: Its first line.
-    name: str  #: The comment before it.
-    motion: float  #: [s]
+    line: int  #: First line of the operation.
+    name: str  #: Comment before this line.
+    motion: float  #: Time of its motion [s].
 
 
 @dataclass(frozen=True)
 class ToolSection:
     """A section of a program, from one tool change to the next."""
 
-    line: int  #: Its first line.
-    tool: int  #: Tool number; 0 for the tool already in the spindle.
+    line: int  #: First line of the section.
+    tool: int  #: Tool number; 0: the tool is already in the spindle.
     times: Times
-    change: float  #: Time of the change before it [s].
+    change: float  #: Time of the tool change before it [s].
     operations: tuple[Operation, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -64,7 +64,7 @@ class ToolSection:
         return {**told, 'change_s': self.change, 'operations': operations}
 
 
-#: Columns of the table of times: heading, key of the JSON, and width.
+#: Columns of the printed table: heading, key in the JSON, and width.
 _COLUMNS = (
     ('total', 'time_s', 11),
     ('cutting', 'cutting_s', 11),
@@ -76,9 +76,9 @@ _COLUMNS = (
 
 
 def times_table(tools: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines with the times of each tool, each followed by those of its operations.
+    """Return the lines of a table with the times of each tool and of its operations.
 
-    ``tools``: the JSON of the sections, as `estimate --json` and summary.json have it.
+    ``tools``: the sections in JSON form, as in `estimate --json` and summary.json.
     """
     if not tools:
         return []
@@ -96,7 +96,7 @@ def times_table(tools: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def operation_names(source: str) -> list[tuple[int, str]]:
-    """Return the comment lines of a program with their texts; none if it is another file."""
+    """Return line and text of each comment line; [] if the file cannot be read as a program."""
     try:
         lines = Path(source).read_text(encoding='utf-8', errors='replace').splitlines()
     except OSError:
@@ -107,13 +107,13 @@ def operation_names(source: str) -> list[tuple[int, str]]:
 
 
 class ProgramTimes:
-    """Gathers the time of each row of a program while it is planned."""
+    """Adds up the time of each row of a program while it is planned."""
 
     def __init__(self) -> None:
         self._lines: list[IntArray] = []
         self._rapid: list[BoolArray] = []
         self._parts: list[tuple[IntArray, FloatArray]] = []  # rows, and the time spent in each
-        self.stops = 0  #: Rows after which the program waits for the operator (M0).
+        self.stops = 0  #: Number of rows after which M0 waits for the operator.
 
     def blocks(self, blocks: Blocks) -> None:
         self._lines.append(blocks.line_number)
@@ -124,14 +124,14 @@ class ProgramTimes:
         self.spent(piece.path.cell_block[piece.law.cell], piece.law.duration)
 
     def spent(self, row: IntArray, time: FloatArray) -> None:
-        """Add times that were spent in rows, both (n,) [s]."""
+        """Add times to rows: ``row`` (n,), ``time`` (n,) [s]."""
         first = np.flatnonzero(np.diff(row, prepend=row[0] - 1))
         self._parts.append((row[first], np.add.reduceat(time, first)))
 
     def sections(
         self, functions: Functions, machine: Machine, source: str = ''
     ) -> list[ToolSection]:
-        """Return the times by tool, in order; ``source``: file that names the operations."""
+        """Return a section for each tool in order; ``source``: file with names of operations."""
         if not self._lines:
             return []
         line, rapid = np.concatenate(self._lines), np.concatenate(self._rapid)
@@ -175,7 +175,7 @@ class ProgramTimes:
 
 
 def _tool(functions: Functions, machine: Machine, change: int) -> int:
-    """Return the tool number of a tool change."""
+    """Return the tool number of the tool change at function ``change``."""
     steps = machine.signals.steps
     last = change + len(machine.signals.words[CHANGE])
     told = [
@@ -187,7 +187,7 @@ def _tool(functions: Functions, machine: Machine, change: int) -> int:
 
 
 def _operations(line: IntArray, names: Sequence[tuple[int, str]]) -> Iterator[tuple[int, str]]:
-    """Yield the first row of each named operation; of several names the last is used."""
+    """Yield first row and name of each operation; of several comments the last is its name."""
     passed = np.maximum.accumulate(line)  # a repeated line counts where it was executed first
     by_row = {int(np.searchsorted(passed, number)): name for number, name in names}
     yield from ((row, name) for row, name in by_row.items() if row < len(line))

@@ -1,4 +1,4 @@
-"""The runs of a machine in a CSV file, one per row, from which a shop computes its OEE."""
+"""A CSV file with a row for each run of a machine; a shop can compute its OEE from it."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ COLUMNS = (
     *('started', 'machine', 'program', 'sha256', 'operator', 'outcome'),
     *('predicted_s', 'actual_s', 'motion_s', 'held_s', 'holds', 'alarms', 'message'),
 )
-TAIL = 1 << 16  #: What is read of the end of the file [bytes].
-#: States in which a run waits for the operator, and those in which something stopped it.
+TAIL = 1 << 16  #: This much of the end of the file is read [bytes].
+#: States in which a run waits for the operator, and those after it was stopped by a problem.
 HOLDS = frozenset({State.HOLDING, State.HELD, State.PAUSED, State.AWAY})
 ALARMS = frozenset({State.STARVING, State.STARVED, State.STOPPING, State.FAULT})
 
 
 @dataclass
 class RunTimes:
-    """How a run spends its time, by the states of the machine."""
+    """Times and counts of a run, taken from the states of the machine."""
 
-    begun: float  #: [s]
+    begun: float  #: Monotonic time at the start [s].
     started: datetime = field(default_factory=lambda: datetime.now().astimezone())
-    held: float = 0.0  #: [s]
+    held: float = 0.0  #: Time spent on hold [s].
     holds: int = 0
-    alarms: int = 0  #: How often a fault, an emergency stop or a lack of setpoints stopped it.
+    alarms: int = 0  #: Number of stops by a fault, an emergency stop or missing setpoints.
     _state: State = State.IDLE
     _seen: float = 0.0
 
@@ -45,13 +45,13 @@ class RunTimes:
 
 
 class RunHistory:
-    """The CSV file of the runs; ``path``: its name, or '' for ``runs.csv`` of the user."""
+    """The CSV file of the runs; ``path``: its path, or '' for the user's ``runs.csv``."""
 
     def __init__(self, path: str):
         self.file = Path(path) if path else state_folder() / 'runs.csv'
 
     def append(self, row: Mapping[str, object]) -> None:
-        """Write a row to the disk; raises InterpError if that fails."""
+        """Append a row to the file on disk; raises InterpError if that fails."""
         texts = {name: ' '.join(str(value).split()) for name, value in row.items()}
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
@@ -71,7 +71,7 @@ class RunHistory:
             ) from None
 
     def latest(self, count: int) -> list[dict[str, str]]:
-        """Return the last rows, the latest first; [] if the file cannot be read."""
+        """Return the last ``count`` rows, the latest first; [] if the file cannot be read."""
         try:
             lines = self._tail().splitlines()
         except OSError:

@@ -1,4 +1,4 @@
-"""The sending side of a run: its phases, its end, and the machine reports that it needs."""
+"""The run as its sender sees it: phases, outcome, and the reports of the machine."""
 
 import math
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ SENDING = (Phase.OFFERED, Phase.STREAMING, Phase.LOST)  #: Phases in which block
 
 
 class Code(IntEnum):
-    """The result of a run; values as in the action ``RunProgram``."""
+    """Result code of a run; the values are those of the action ``RunProgram``."""
 
     SUCCEEDED = 0
     BAD_PROGRAM = 1
@@ -63,7 +63,7 @@ class Code(IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    code: Code  #: Machine-readable result.
+    code: Code  #: Result code.
     message: str  #: What happened and what to do, for the operator.
 
 
@@ -74,30 +74,30 @@ def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:
     return Outcome(Code.STOPPED if stopped else Code.REFUSED, reason)
 
 
-SETTLED = 0.1  #: A machine at rest for this time after cycle_start has nothing to execute [s].
-#: If the buffer is not full after this time, no more setpoints will arrive [s].
+SETTLED = 0.1  #: A machine that rests for this time after cycle_start lacks setpoints [s].
+#: A machine that has not started after this time gets no more setpoints [s].
 FILLED = 0.5
-#: Text for a run that the machine has left.
+#: Text about a run that the machine does not know any more.
 LEFT = 'the machine was reset, or machine_node started again; run the program again'
 
 
 @dataclass(frozen=True)
 class MachineReport:
-    run_id: RunId  #: The run that the machine executes or has executed last.
+    run_id: RunId  #: Run that the machine executes or executed last.
     state: State  #: State of the machine.
-    plan_over: bool  #: The machine left the plan by a stop tail; another must follow.
+    plan_over: bool  #: Whether a stop tail has ended the plan, so that another must follow.
     #: Whether cycle_start was requested before enough setpoints were buffered.
     start_wanted: bool
-    completed: bool  #: The run was executed to its end.
-    path_position: float  #: Path length executed [m].
+    completed: bool  #: Whether the run was executed to its end.
+    path_position: float  #: Path position reached [m].
     stands: FloatArray  #: (n_axes,): Commanded axis positions [m, rad].
-    time: float  #: Time of the report by the machine's clock [s].
-    message: str  #: The reason for the machine's state, for people.
-    must_home: tuple[str, ...] = ()  #: Axes that must be homed before a program may start.
-    #: The axes were moved away from a hold by hand, and are not back on the path yet.
+    time: float  #: Time of the report, by the clock of the machine [s].
+    message: str  #: Text about the state of the machine, for the operator.
+    must_home: tuple[str, ...] = ()  #: Axes to be homed before a program may start.
+    #: Whether the axes were jogged away during a hold and are not back on the path yet.
     away: bool = False
-    functions: int = 0  #: Functions of the run executed so far.
-    probed: bool = False  #: The run has ended where the probe has answered.
+    functions: int = 0  #: Number of functions executed in the run so far.
+    probed: bool = False  #: Whether the probe has ended the run.
 
     @property
     def rests_on_path(self) -> bool:
@@ -128,10 +128,10 @@ class MachineReport:
 
 
 class LossRecovery:
-    """Watches a machine after a restart of a node, and decides when to send the program again.
+    """Decides, after a node was restarted, when the program must be sent again.
 
-    A machine with setpoints starts at once on cycle_start; the remainder of the program is sent
-    when the machine rests.
+    If the machine has buffered setpoints, it starts at once on cycle_start. The rest of the
+    program is sent when the machine rests again.
     """
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ class LossRecovery:
         self._report: MachineReport | None = None
 
     def see(self, report: MachineReport) -> None:
-        """Process a report of the machine, which executes this run or is free for it."""
+        """Process a report of the machine; it executes this run or is free for it."""
         before, self._report = self._report, report
         held = before is not None and before.state is State.HELD
         if self.node and held and report.moves and report.state is not State.HELD:
@@ -153,13 +153,13 @@ class LossRecovery:
 
     @property
     def _starts_by_itself(self) -> bool:
-        """Return whether the machine moves as soon as it has setpoints; nobody has stopped it."""
+        """Whether the machine will move as soon as it has setpoints, without cycle_start."""
         report = self._report
         return report is not None and report.state in SELF_STARTING - {State.STARVED}
 
     @property
     def is_due(self) -> bool:
-        """Return whether the program must be sent again now."""
+        """Whether the program must be sent again now."""
         report = self._report
         fills = report is not None and report.state is State.STARVED and not report.plan_over
         least = FILLED if fills or self._starts_by_itself else SETTLED

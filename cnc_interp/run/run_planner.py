@@ -1,4 +1,4 @@
-"""From segments of one program to chunks of one run; without ROS or a clock."""
+"""Plan one run: from the segments of a program to chunks; without ROS or a clock."""
 
 import math
 from dataclasses import replace
@@ -22,12 +22,12 @@ from cnc_interp.run.start_place import approach, approach_inside
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-ON_PATH = 1e-8  #: A machine this near to the path is on it [m, rad].
-#: Number of stored source lines above which those of executed blocks are dropped.
+ON_PATH = 1e-8  #: A machine nearer to the path than this is on it [m, rad].
+#: If more source lines are stored, those of executed blocks are dropped.
 LINES_KEPT = 4096
 
-#: Motion that must be planned before a plan joins another one in motion [s]. A planner that is
-#: late then only delays the change, and the machine does not run out of setpoints.
+#: A plan joins another one in motion only once this much of it is planned [s]. A slow planner then
+#: delays the change, but the machine does not run out of setpoints.
 JOIN_RESERVE = 0.2
 
 
@@ -38,10 +38,10 @@ class Revision(NamedTuple):
 
 
 class RunPlanner:
-    """The planning of one run, from the top or from ``continue_at`` [m].
+    """The planning of one run from the top, or from path position ``continue_at`` [m].
 
-    ``stands``: positions of the axes at rest. If they are off the path, or if the planner
-    ``asks``, the machine waits for cycle_start first.
+    ``stands``: positions of the axes at rest. If ``continue_at`` is given and the axes are off the
+    path, or if ``asks`` is set, the machine first waits for cycle_start.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class RunPlanner:
         self._lines_left = 0  # when some were last dropped
         self._enough = round(JOIN_RESERVE / period)
         self._asks = asks
-        #: Clearance check before planning; None without a scene.
+        #: Check of clearances; None without a scene.
         self.clearance = LiveClearance.of(machine, choices, self.line_of)
         self._starts: tuple[float, FloatArray] | None = None  # place and axis positions
         self._continue_at = continue_at if continue_at > 0.0 else None
@@ -78,7 +78,7 @@ class RunPlanner:
     def push(
         self, segments: PathSegments, pauses: dict[int, Wait], functions: Functions = NO_FUNCTIONS
     ) -> None:
-        """Accept segments, waits after blocks (M0, M1), and functions; errors name the line."""
+        """Add segments and functions; ``pauses``: block -> wait after it (M0, M1)."""
         self._note_lines(segments)
         waits = functions.waits(self._transform.machine.signals)
         self.stream.pause_blocks |= dict.fromkeys((waits - 1).tolist(), Wait.FUNCTION) | pauses
@@ -105,7 +105,7 @@ class RunPlanner:
             self.clearance.pass_by(path)
 
     def _begin(self, path: AxisPath) -> AxisPath | None:
-        """Add the approach before the path, or skip the path before the place of continuation."""
+        """Queue the approach; return the path after the start of the run, or None."""
         if self._continue_at is None:
             start = np.array(path.cell_left[0, 0])
             way = self._way(self._stands, start, inside=False)
@@ -129,7 +129,7 @@ class RunPlanner:
         return from_place(path, self._continue_at)
 
     def _way(self, stands: FloatArray, there: FloatArray, inside: bool) -> AxisPath | None:
-        """Make the approach from rest to a position inside the program or at its top."""
+        """Return the approach from rest to positions ``there``; ``inside``: not at the top."""
         choices, height = self._choices, self._choices.flank_height
         if inside:
             how = choices.retract, choices.plunge_feed
@@ -141,7 +141,7 @@ class RunPlanner:
         return way
 
     def finish(self) -> None:
-        """End the path; raise PlanningError if it ends before the place of continuation."""
+        """End the path; raise PlanningError if it ends before the start of the run."""
         if self._starts is None:
             raise PlanningError(
                 'the program ends before the position where the run continues; reset'
@@ -157,7 +157,7 @@ class RunPlanner:
         return []
 
     def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> None:
-        """Replan from rest at a path length [m]; axes moved by hand are led back first."""
+        """Replan from rest at path position ``s`` [m]; axes moved by hand first return there."""
         rest = self.stream.course.rest_at(s)
         there = None if rest is None else rest.position[0]
         if there is not None and np.abs(there - stands).max() <= ON_PATH:
@@ -171,7 +171,7 @@ class RunPlanner:
         self.stream.resume(s, settings, self._way(stands, there, inside))
 
     def revise(self, number: int, settings: OperatorSettings) -> Revision | None:
-        """Replan with other settings after a setpoint already sent; the plan number is kept."""
+        """Return a revision with other settings that joins after setpoint ``number``, or None."""
         plan, chunks, count = self.stream.revision(number, settings), [], 0
         if plan is None:
             return None
@@ -208,7 +208,7 @@ class RunPlanner:
         return replace(chunk, samples=samples, tail=tail)
 
     def _lines_of(self, block: IntArray) -> IntArray:
-        """Return the line of each block; consecutive rows of one block are looked up once."""
+        """Return the source line of each block; equal neighbours are looked up once."""
         first = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
         lines = np.array([*map(self.line_of, block[first].tolist())], dtype=np.int64)
         return np.repeat(lines, np.diff(first, append=len(block)))

@@ -1,4 +1,4 @@
-"""The state of a run: its id, a frozen dataclass, and a table of transitions."""
+"""The state of a run and the events that change it: run id, state, table of transitions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from cnc_interp.core import StreamError
 
 @dataclass(frozen=True)
 class RunId:
-    program_id: str = ''  #: The run, the same string from its start to its end; empty for no run.
-    attempt: int = 0  #: Number of restarts of the run after the loss of a node.
+    program_id: str = ''  #: Id of the run, which never changes; '' for no run.
+    attempt: int = 0  #: How often the run was restarted after a node was lost.
     plan: int = 0  #: Number of the plan in the attempt. Blocks and segments always have plan 0.
 
     def __bool__(self) -> bool:
@@ -23,11 +23,11 @@ class RunId:
         return f'{self.program_id}{attempt}{plan}'
 
     def same_attempt(self, other: RunId) -> bool:
-        """Return whether both belong to one attempt of one run; their plans may differ."""
+        """Return whether both are the same attempt at the same run; plans may differ."""
         return (self.program_id, self.attempt) == (other.program_id, other.attempt)
 
     def continues(self, other: RunId) -> bool:
-        """Return whether this is a later attempt at, or a later plan of, the run of ``other``."""
+        """Return whether this is a later attempt or a later plan of the same run as ``other``."""
         later = (self.attempt, self.plan) > (other.attempt, other.plan)
         return self.program_id == other.program_id and later
 
@@ -76,7 +76,7 @@ class Event(Enum):
 
 
 class Reason(IntEnum):
-    """Why the machine is in its state, as in ``MachineState``."""
+    """Why the machine is in its state; values as in ``MachineState``."""
 
     NONE = 0
     FEED_HOLD = 1
@@ -96,7 +96,7 @@ class Reason(IntEnum):
 
 
 class WaitsFor(IntEnum):
-    """The event that the machine at rest waits for, as in ``MachineState``."""
+    """What the resting machine waits for; values as in ``MachineState``."""
 
     NOTHING = 0
     SETPOINTS = 1
@@ -107,7 +107,7 @@ class WaitsFor(IntEnum):
     INPUT = 6
 
 
-#: Texts for the operator; ``{}`` is the detail.
+#: Reason -> text for the operator; ``{}`` stands for the detail.
 TEXTS = {
     Reason.NONE: '',
     Reason.FEED_HOLD: 'feed hold: press cycle start to continue',
@@ -139,7 +139,7 @@ _ACTIVE = tuple(state for state in State if state is not State.INACTIVE)
 _ON_PATH_AT_REST = (State.PAUSED, State.FILLING, State.HELD, State.STARVED)
 #: States in which the axes rest.
 AT_REST = frozenset({State.INACTIVE, State.IDLE, *_ON_PATH_AT_REST, State.FAULT})
-#: States from which the machine starts by itself when enough setpoints are buffered.
+#: States in which the machine starts as soon as enough setpoints are buffered.
 SELF_STARTING = frozenset({State.IDLE, State.PAUSED, State.FILLING, State.STARVED})
 #: States in which cycle_start is accepted.
 RESUMABLE = frozenset({State.HOLDING, State.HELD, State.STARVING, State.STARVED})
@@ -154,7 +154,7 @@ def _stays(*states: State) -> dict[State, State]:
 
 
 S, _RESTS = State, _ON_PATH_AT_REST
-#: The state after each event, by the state before it.
+#: Event -> state before it -> state after it.
 _AFTER: dict[Event, dict[State, State]] = {
     Event.ACTIVATE: _to(S.IDLE, S.INACTIVE),
     Event.DEACTIVATE: _to(S.INACTIVE, S.IDLE, S.FAULT),
@@ -191,14 +191,14 @@ _REFUSALS = {
 @dataclass(frozen=True)
 class RunState:
     state: State = State.INACTIVE  #: What the machine is doing.
-    reason: Reason = Reason.NONE  #: Why.
-    detail: str = ''  #: Detail for the text of the reason: a count, or the refusal.
-    #: Whether a stop tail has ended the plan. A new plan must begin where the machine rests.
+    reason: Reason = Reason.NONE  #: Why it is in this state.
+    detail: str = ''  #: Detail in the text of the reason: a count or a refusal.
+    #: Whether a stop tail has ended the plan; a new plan must begin where the machine rests.
     plan_over: bool = False
     #: Whether cycle_start was given before enough setpoints were buffered.
     start_wanted: bool = False
-    completed: bool = False  #: The run was executed to its end.
-    refusal: str = ''  #: Why no further setpoints of this run will arrive; empty while they may.
+    completed: bool = False  #: Whether the run was executed to its end.
+    refusal: str = ''  #: Why no more setpoints of this run will arrive; '' if they may.
 
     @property
     def resting(self) -> bool:
@@ -215,7 +215,7 @@ class RunState:
 
     @property
     def may_start(self) -> bool:
-        """Return whether the machine moves as soon as enough setpoints are buffered."""
+        """Whether the machine will move as soon as enough setpoints are buffered."""
         return self.state in SELF_STARTING or (self.state is State.HELD and self.start_wanted)
 
     @property
@@ -284,7 +284,7 @@ class RunState:
         )
 
     def _rests_away(self) -> RunState:
-        """Return the hold after a motion by hand, when the axes are away from the path."""
+        """Return the hold that continues after a motion by hand; the axes are off the path."""
         reason = Reason.FEED_HOLD if self.reason is Reason.FEED_HOLD else Reason.AWAY
         rests = replace(self, state=State.HELD, reason=reason, plan_over=True)
         return rests._refused_at_rest() if self.refusal else rests

@@ -1,8 +1,8 @@
-"""The turn of an arm's tool about its axis, chosen by the planned time of each cut.
+"""Choose the spin of an arm, its tool's rotation about the tool axis, by planned time.
 
-A cut lasts from one rapid move to the next. Many spins are followed along its poses, and some of
-those that stay within travel and away from singular poses are planned. The spin changes on the
-rapid moves between cuts. The choice ``best`` then replaces the constant spin by a quartic.
+A cut lasts from one rapid move to the next. The arm follows each cut with many spins. Of the spins
+that stay within travel and away from singular poses, some are planned. The spin changes on the
+rapid moves between cuts. The setting ``best`` then replaces the constant spin by a quartic.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.options import Settings
 
-#: Spins that are followed, in addition to that of the machine file [rad].
+#: Spins that are tried, in addition to that of the machine file [rad].
 SPINS = np.arange(24) * 15.0 * DEG
-SAME = 1e-9  #: Spins that differ by less are equal [rad].
-EVERY, OTHERS = 3, 4  #: Every third spin is planned, and this many others with the least turns.
-#: Powers of u of the Legendre polynomials on 0 ... 1, from the lowest on.
+SAME = 1e-9  #: Spins that differ by less than this are equal [rad].
+EVERY, OTHERS = 3, 4  #: Every third spin is planned, and 4 others with little turning.
+#: Coefficients of the Legendre polynomials on 0 ... 1, by ascending powers of u.
 LEGENDRE = np.array(
     [
         [1.0, 0.0, 0.0, 0.0, 0.0],
@@ -42,21 +42,21 @@ LEGENDRE = np.array(
         [1.0, -20.0, 90.0, -140.0, 70.0],
     ]
 )
-KEPT = 3  #: Number of fastest ways to the end of a cut that are kept for the next cut.
-MOST_POSES = 600  #: Largest number of poses that are followed on a cut.
-#: Search for a quartic: first step [rad], rounds of ten plans, and least relevant gain [-].
+KEPT = 3  #: Number of fastest ways that are continued after each cut.
+MOST_POSES = 600  #: Number of poses on a cut that the arm must follow.
+#: Search for a quartic: first step [rad], number of rounds of ten plans, least gain of time [-].
 BEND, ROUNDS, GAIN = 20.0 * DEG, 5, 1e-4
 
 
 @dataclass(frozen=True)
 class SpinChoice:
-    chain: JointChain  #: Chain in the chosen first configuration.
-    spins: FloatArray  #: (n, 10): Septic of the spin for each segment, as in ``guides``.
-    why: str  #: How it was chosen.
+    chain: JointChain  #: The arm in its chosen first configuration.
+    spins: FloatArray  #: (n, 10): Spin of each segment: a septic, as in ``guides``.
+    why: str  #: Text: how the spin was chosen.
 
 
 class _Way(NamedTuple):
-    """A way to follow the program up to the start or the end of a cut."""
+    """One way in which the arm follows the program, up to the start or the end of a cut."""
 
     start: FloatArray  # (n,): joints at the first pose of the program [rad]
     here: FloatArray  # (n,): joints at its end so far
@@ -82,7 +82,7 @@ class SpinSearch:
         self._plans = self._furthest = 0
 
     def chosen(self) -> SpinChoice:
-        """Return the spins of all segments; BlockError if a cut allows no constant spin."""
+        """Return the chosen spins of all segments; BlockError if a cut allows no constant spin."""
         nothing = np.zeros(0)
         ways = [_Way(nothing, nothing, 0.0, ())]
         for number in range(len(self._cuts)):
@@ -99,9 +99,9 @@ class SpinSearch:
         return SpinChoice(search._chain, search._rows(curves), text)
 
     def _smoothed(self, ways: list[_Way]) -> tuple[SpinSearch, _Way]:
-        """Return the fastest of some ways, each smoothed as a plan with its own spin is.
+        """Return the fastest way, and its search with a path smoothed for its spin.
 
-        The spin may decide at which corners a stop is faster than rounding.
+        The spin affects at which corners a stop is faster than rounding.
         """
         found = []
         for way in ways:
@@ -116,7 +116,7 @@ class SpinSearch:
         )
 
     def _further(self, ways: list[_Way], number: int) -> list[_Way]:
-        """Return the ways that continue to the end of a cut, the fastest first."""
+        """Return the ways continued to the end of cut ``number``, the fastest first."""
         first, last = self._cuts[number]
         self._furthest = 0
         done = self._planned(ways, number, True) or self._planned(ways, number, False)
@@ -134,7 +134,7 @@ class SpinSearch:
         return done
 
     def _planned(self, ways: list[_Way], number: int, avoids: bool) -> list[_Way]:
-        """Return the fastest continuations; with ``avoids``, away from singular poses."""
+        """Return the fastest ways through a cut; ``avoids``: only away from singular poses."""
         begun, spins = dict[int, list[_Way]](), [self._chain.spin]
         spins += [float(spin) for spin in SPINS if abs(spin - self._chain.spin) > SAME]
         for count, spin in enumerate(spins):
@@ -151,7 +151,7 @@ class SpinSearch:
         return sorted((way for way in found if way.time < inf), key=lambda way: way.time)[:KEPT]
 
     def _executed(self, way: _Way, number: int) -> _Way:
-        """Return a way at the end of a cut; its time is infinite if it cannot be planned."""
+        """Return a way continued to the end of a cut; if it cannot be planned, its time is inf."""
         first, last = self._cuts[number]
         path = self._follow(self._rows(way.curves)[first:last], way.here, first, last)
         if path is None:
@@ -160,7 +160,7 @@ class SpinSearch:
         return way._replace(here=here, time=way.time + self._time(path))
 
     def _begun(self, way: _Way, spin: float, number: int, avoids: bool) -> Iterator[_Way]:
-        """Yield the ways to the start of a cut from which a constant spin can follow it."""
+        """Yield ways, continued to the start of a cut, that can follow it at a constant spin."""
         first, last = self._cuts[number]
         poses, (low, high) = self._poses(first, last), self._chain.machine.travel.T
         chain = self._chain.spun(spin)
@@ -185,7 +185,7 @@ class SpinSearch:
                 yield _Way(begin, here, way.time, (*way.curves, curve), turning)
 
     def _arrivals(self, way: _Way, curve: FloatArray, number: int) -> list[FloatArray]:
-        """Return the joints with which a way arrives at a cut, if it can turn to its spin."""
+        """Return the joints at the start of a cut; [] if the way cannot turn to the cut's spin."""
         first, last = self._cuts[number - 1][1] if number else 0, self._cuts[number][0]
         if first >= last:
             kept = number > 0 and curve[0] == way.curves[-1][0]
@@ -195,7 +195,7 @@ class SpinSearch:
         return [] if path is None else [path.cell_right[0, -1].copy()]
 
     def _poses(self, first: int, last: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return tips, axes and further joints at even shares of segments; between, on chords."""
+        """Return tips, tool axes and further joints at poses evenly distributed over segments."""
         row = np.linspace(first, last - 1.0, MOST_POSES)
         known, some = np.arange(first, last), slice(first, last)
         segments = self._segments
@@ -207,7 +207,7 @@ class SpinSearch:
         return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), beside
 
     def _rows(self, curves: Sequence[FloatArray]) -> FloatArray:
-        """Return the spin of each segment up to the end of the last of these cuts, (n, 10)."""
+        """Return the spin of each segment up to the last cut in ``curves``, (n, 10)."""
         found = np.zeros((self._cuts[len(curves) - 1][1], 10))
         for number, curve in enumerate(curves):
             first, last = self._cuts[number]
@@ -229,7 +229,7 @@ class SpinSearch:
         rows[first:last, 1], rows[first:last, 2:] = self._ends[last] - self._ends[first], curve
 
     def _follow(self, rows: FloatArray, q: FloatArray, first: int, last: int) -> AxisPath | None:
-        """Return the path of segments from joints on, at rest at both ends; None if rejected."""
+        """Return the path of segments, from joints ``q`` and rest to rest; None if rejected."""
         segments = self._segments[first:last]
         stop = segments.stop.copy()
         stop[-1] = True
@@ -242,7 +242,7 @@ class SpinSearch:
             return None
 
     def _time(self, path: AxisPath) -> float:
-        """Return the time of a path [s], infinite if it cannot be planned."""
+        """Return the motion time of a path [s]; infinite if it cannot be planned."""
         self._plans += 1
         try:
             return float(plan_path(path, self._limits, PlanOptions(bound=False)).law.end_time)
@@ -250,7 +250,7 @@ class SpinSearch:
             return inf
 
     def _bent(self, way: _Way) -> tuple[tuple[FloatArray, ...], float]:
-        """Return the fastest quartics near the constant spins of a way, and the saved share."""
+        """Return the fastest quartics near the constant spins of a way; and the saved time [-]."""
         curves, here, n = list(way.curves), way.start, len(self._segments)
         for number, (_, end) in enumerate(self._cuts):
             first = self._cuts[number - 1][1] if number else 0
@@ -279,14 +279,14 @@ class SpinSearch:
 
 
 def _bent_by(curve: FloatArray, bend: FloatArray) -> FloatArray:
-    """Add a quartic, by its Legendre coefficients over a cut [rad]."""
+    """Return a spin curve plus a quartic; ``bend``: its Legendre coefficients [rad]."""
     found = curve.copy()
     found[:5] += LEGENDRE.T @ bend
     return found
 
 
 def _shift(q: FloatArray, travel: FloatArray) -> FloatArray:
-    """Return the whole turns (n,) [rad] that bring a motion into its travel, NaN if none does."""
+    """Return the whole turns (n,) [rad] that bring motion ``q`` into the travel; NaN if none."""
     turn = 2.0 * pi
     low, high = (
         np.ceil((travel[:, 0] - q.min(axis=0)) / turn),

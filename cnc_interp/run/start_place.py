@@ -1,6 +1,6 @@
-"""The position on the path at which a run starts, and the approach to it.
+"""The position on the path at which a run starts, and the approach to this position.
 
-The whole program is read and smoothed, so the path is the same as in a full run.
+The whole program is read and smoothed, so that the path is the same as in a full run.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-#: Number of positions tried in a cell, and of further divisions of the nearest interval.
+#: Number of positions tried in a path cell, and number of divisions of the nearest interval.
 TRIED, DIVIDED = 16, 8
-STEP = 1.0 * MM  #: Step with which the tool of an arm is drawn back to find its largest retract.
-THERE = 1e-9  #: Axes this near to the next point do not move [m, rad].
+STEP = 1.0 * MM  #: Step in which an arm's largest retract is searched [m].
+THERE = 1e-9  #: Axes nearer than this to the next point do not move [m, rad].
 
 
 @dataclass(frozen=True)
 class StartPlace:
-    block: StartBlock  #: The start in the program.
-    line: int  #: Line of the first motion.
-    s: float  #: Path length from the top of the program [m].
+    block: StartBlock  #: Start block of the program.
+    line: int  #: Source line of the first motion.
+    s: float  #: Path position from the top of the program [m].
     position: FloatArray  #: (n_axes,): Nominal axis positions [m, rad].
-    sets: tuple[str, ...] = ()  #: Outputs that are set before the approach, as text.
+    sets: tuple[str, ...] = ()  #: Texts of the outputs set before the approach.
 
     def after(self, functions: Functions, signals: Signals) -> StartPlace:
-        """Return the start position, with the outputs that functions have set before it."""
+        """Return this start, with texts of the outputs that functions set before it."""
         first = functions[: functions.until(0)]
         acts = zip(first.step.tolist(), first.value.tolist(), strict=True)
         outputs = [(signals.steps[step].output, value) for step, value in acts]
@@ -81,7 +81,7 @@ class StartPlace:
 
 
 class StartFinder:
-    """Receives the whole program and passes on the executed part, after the skipped row 0."""
+    """Receives the whole program, and returns the executed part, renumbered."""
 
     def __init__(self, transform: Transform, flank_height: float, start: StartLine):
         self._transform, self._height, self._start = transform, flank_height, start
@@ -89,7 +89,7 @@ class StartFinder:
         self._before: Blocks | None = None  # the last row read
         self._vertex: Blocks | None = None  # the row before the start, and its first row
         self._kept: AxisPath | None = None
-        #: What lies before the start in the latest part of the path.
+        #: The part of the latest path that lies before the start, or None.
         self.before: AxisPath | None = None
         self._s: float | None = None
         self._position = np.zeros(0)
@@ -122,7 +122,7 @@ class StartFinder:
         return replace(mine, block=self._own(mine.block))
 
     def path(self, path: AxisPath | None, last: bool = False) -> AxisPath | None:
-        """Receive the next part of the path, and return its executed part."""
+        """Receive the next part of the path; return what will be executed of it, or None."""
         self.before = None
         if self._s is not None:
             return None if path is None else self._renumbered(path)
@@ -180,7 +180,7 @@ class StartFinder:
         return float(tried[near])
 
     def _off(self, path: AxisPath, s: FloatArray) -> FloatArray:
-        """Return the distances of the tip and, at flank height, of the tool axis, (k, 2) [m]."""
+        """Return distances from the start pose: tip, tool axis at flank height, (k, 2) [m]."""
         assert self._vertex is not None
         tip, axis = reached(self._transform, evaluate(path, s)[0])
         vertex = self._vertex
@@ -199,7 +199,7 @@ class StartFinder:
 
 
 def start_pose(row: Blocks) -> Blocks:
-    """Return the end of a row as the start pose of the following rows."""
+    """Return the pose at the end of a row, as start pose of the next rows."""
     none = np.full(1, np.nan)
     return replace(
         row,
@@ -217,16 +217,16 @@ def start_pose(row: Blocks) -> Blocks:
 def approach(
     transform: Transform, flank_height: float, start: FloatArray, end: FloatArray
 ) -> AxisPath | None:
-    """Make the approach path to the start pose, on which all axes move straight together."""
+    """Return the approach to the start pose: all axes move together, in a straight line."""
     return straight(transform, flank_height, np.stack([start, end]), np.array([np.inf]))
 
 
 def way_inside(
     transform: Transform, stands: FloatArray, place: FloatArray, retract: float
 ) -> FloatArray:
-    """Return the corners of the approach to a position in the program, (5, n_axes) [m, rad].
+    """Return the corners of the approach to ``place`` in the program, (5, n_axes) [m, rad].
 
-    The tool is drawn back by ``retract``, or farther if the other end lies higher along the tool.
+    At both ends the tool is drawn back by ``retract`` [m], or by more if the other end lies
     """
     here, there = tool_line(transform, stands), tool_line(transform, place)
     plunge = min(retract, there.travel[1])
@@ -264,7 +264,7 @@ def arm_inside(
     retract: float,
     plunge_feed: float,
 ) -> AxisPath | None:
-    """Make an arm's approach to a place inside: along the tool, in its joints, along the tool."""
+    """Return an arm's approach to ``place``: along the tool, by joints, along the tool."""
     if np.abs(place - stands).max() <= THERE:
         return None
     (here, there), (axis, to_axis) = chain.forward(np.stack([stands, place]))
@@ -282,7 +282,7 @@ def arm_inside(
 
 
 def _drawn_back(chain: JointChain, q: FloatArray, height: float) -> FloatArray:
-    """Return the joints (n,) with the tool retracted by a distance [m], or as far as possible."""
+    """Return the joints (n,) with the tool retracted by ``height`` [m], or as far as possible."""
     chain = chain.standing(q)
     tip, axis = (rows[0] for rows in chain.forward(q[None]))
     up = np.linspace(0.0, height, 2 + int(height / STEP))
@@ -298,7 +298,7 @@ def _drawn_back(chain: JointChain, q: FloatArray, height: float) -> FloatArray:
 def _along_tool(
     chain: JointChain, flank_height: float, start: FloatArray, end: FloatArray, feed: float
 ) -> AxisPath | None:
-    """Make the path on which the tool moves along its axis, between joint positions (n,)."""
+    """Return the path between joint positions (n,) on which the tool moves along its axis."""
     tip, axis = chain.forward(np.stack([start, end]))
     if np.abs(tip[1] - tip[0]).max() <= THERE:
         return None
@@ -326,7 +326,7 @@ def _along_tool(
 def straight(
     transform: Transform, flank_height: float, points: FloatArray, feeds: FloatArray
 ) -> AxisPath | None:
-    """Make a path from point to point, with a rest at each; axes run monotonically between."""
+    """Return a straight path in axis positions from point to point, with a rest at each."""
     machine = transform.machine
     there = np.concatenate([points[1:, None], np.zeros((len(points) - 1, 3, points.shape[1]))], 1)
     none = np.zeros(len(there), dtype=np.int64)

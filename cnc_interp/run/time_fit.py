@@ -1,8 +1,9 @@
-"""Fit the parameters of a machine file that predict run times to recorded runs.
+"""Fit those parameters of a machine file that determine run times to recorded runs.
 
-Parameters are logarithms: the jerk of each linear axis, one factor of their accelerations, the
-velocity jump and the block time of the look-ahead. Gauss-Newton steps with Broyden's update fit
-the planned times of windows of some seconds in which only the motion takes time.
+The fitted values are logarithms of factors on the jerk of each linear axis, on their accelerations
+(one factor), and on the velocity jump and the block time of the look-ahead. Gauss-Newton steps
+with Broyden's update fit the planned to the recorded times of windows. A window is a few seconds
+of a run in which only motion takes time.
 """
 
 from __future__ import annotations
@@ -40,32 +41,32 @@ from cnc_interp.run.program_times import ProgramTimes
 from cnc_interp.run.time_records import CycleTime, Trace
 from cnc_interp.settings.options import Settings
 
-SPAN = 3.0  #: Least length of a window [s].
-START = BlockPace(3e-3, 1e-3, 1.0, True)  #: Start of the search.
-#: Steps of logarithms: difference, largest step, end.
+SPAN = 3.0  #: Least duration of a window [s].
+START = BlockPace(3e-3, 1e-3, 1.0, True)  #: Values at which the search starts.
+#: Steps of the logarithms: for finite differences; largest one; one that ends the search.
 SLOPE_STEP, LARGEST_STEP, ENOUGH = 0.15, 0.7, 0.02
 STEPS = 4
-#: A fit plans this many rows out of this many, and ignores this many lines at the ends of a part.
+#: A fit plans ``CHUNK`` of every ``EVERY`` rows, without the outer ``MARGIN`` lines of a part.
 CHUNK, EVERY, MARGIN = 1200, 6000, 12
-PRIOR = 0.5  #: Prior standard deviation of a logarithm.
-HIDDEN = 0.8  #: A value counts as not shown above this share of that deviation.
+PRIOR = 0.5  #: Prior standard deviation of the fitted logarithms.
+HIDDEN = 0.8  #: A value more uncertain than this share of the prior is not determined.
 ROBUST = 0.3  #: Windows with larger residuals get less weight [s].
-CLUSTER = 10  #: Number of consecutive windows whose residuals may be correlated.
-SETTLED = 0.2  #: A feed is attributed to a line after this time on the line [s].
-HELD = 3  #: A velocity was held if this many feeds agree within 1 %.
-SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
+CLUSTER = 10  #: Residuals of this many consecutive windows may be correlated.
+SETTLED = 0.2  #: A recorded feed belongs to a line only this long after its start [s].
+HELD = 3  #: A velocity was reached if this many feeds agree within 1 %.
+SIGMAS = 1.96  #: Half width of the 95 % interval in standard deviations.
 
 
 @dataclass(frozen=True)
 class TimedProgram:
-    """A program and its planned times on machines with other limits."""
+    """A program that is planned on machines with different limits."""
 
     name: str
     blocks: Blocks
     functions: Functions
     settings: Settings
     override: float = 1.0
-    whole: bool = False  #: Whether a fit plans the whole program, of any length.
+    whole: bool = False  #: Whether a fit plans the whole program, even if it is long.
 
     @staticmethod
     def load(path: Path, machine: Machine, settings: Settings) -> TimedProgram:
@@ -83,12 +84,12 @@ class TimedProgram:
 
     @cached_property
     def switched(self) -> IntArray:
-        """Lines with functions."""
+        """Source lines with functions."""
         return np.unique(self.functions.line_number)
 
     @property
     def first(self) -> int:
-        """The first line with motion."""
+        """First source line with motion."""
         return int(self.lines[min(1, len(self.lines) - 1)])
 
     @property
@@ -101,14 +102,14 @@ class TimedProgram:
         return replace(self, blocks=blocks, override=override)
 
     def sample(self) -> list[slice]:
-        """Return the rows that a fit plans: all, or of a long program one part in five."""
+        """Return the rows that a fit plans: all, or one fifth of a long program."""
         rows = len(self.blocks)
         if rows <= EVERY or self.whole:
             return [slice(0, rows)]
         return [slice(max(0, a - 1), a + CHUNK) for a in range(0, rows, EVERY)]
 
     def covers(self, lines: IntArray) -> BoolArray:
-        """Return which windows of lines, (w, 2), lie in the sample, away from its ends."""
+        """Return which windows lie within the sample; ``lines`` (w, 2): first and last line."""
         covered = np.zeros(len(lines), dtype=np.bool_)
         for rows in self.sample():
             part = self.lines[rows]
@@ -131,7 +132,7 @@ class TimedProgram:
         yield from planner.finish()
 
     def motion(self, machine: Machine, parts: Sequence[slice] = (slice(0, None),)) -> Motion:
-        """Plan the program on a machine, or parts of its rows, each from rest."""
+        """Return the motion planned on a machine, for parts of the rows, from rest to rest."""
         planned = [
             (rows.start + p.path.cell_block[p.law.cell], p.law.duration, p.law.s_dot)
             for rows in parts
@@ -143,21 +144,21 @@ class TimedProgram:
 
 @dataclass(frozen=True)
 class Motion:
-    """The planned motion, piece by piece."""
+    """A planned motion as n pieces of constant jerk."""
 
-    line: IntArray  #: (n,)
-    duration: FloatArray  #: (n,) [s]
-    speed: FloatArray  #: (n,): At the start of each piece [m/s].
-    last: int  #: The last line.
+    line: IntArray  #: (n,): Source line.
+    duration: FloatArray  #: (n,): Duration [s].
+    speed: FloatArray  #: (n,): Speed at the start of each piece [m/s].
+    last: int  #: Last source line of the program.
 
     def until(self, line: IntArray) -> FloatArray:
-        """Return the time that all lines before some lines take [s]."""
+        """Return the total time of all lines before each of ``line`` [s]."""
         by_line = np.bincount(self.line, self.duration, self.last + 1)
         return np.append(0.0, np.cumsum(by_line))[np.minimum(line, self.last + 1)]
 
 
 def measured_override(program: TimedProgram, trace: Trace) -> float:
-    """Return the feed override that most feeds show; 1 if there are no feeds."""
+    """Return the feed override that most recorded feeds show; 1 if none is recorded."""
     feed = np.full(int(program.lines[-1]) + 2, np.inf)
     cuts = ~program.blocks.rapid
     feed[program.lines[cuts]] = program.blocks.feedrate[cuts] / program.override
@@ -171,7 +172,7 @@ def measured_override(program: TimedProgram, trace: Trace) -> float:
 
 
 def measured_velocities(program: TimedProgram, trace: Trace) -> FloatArray:
-    """Return the velocities that X, Y, Z held in rapids, (3,) [m/s]; 0 if none was held."""
+    """Return the largest velocities of X, Y, Z in rapids, (3,) [m/s]; 0 if not reached."""
     step = np.diff(program.blocks.tip, axis=0, prepend=program.blocks.tip[:1])
     length = np.linalg.norm(step, axis=1)
     rows = program.blocks.rapid & (length > 0.0)
@@ -190,12 +191,12 @@ def measured_velocities(program: TimedProgram, trace: Trace) -> FloatArray:
 
 @dataclass(frozen=True)
 class TracedRun:
-    """A recorded run of a program, divided into windows and tool changes."""
+    """A recorded run of a program, divided into windows."""
 
     program: TimedProgram
     trace: Trace
-    windows: IntArray  #: (w, 2): Events at which windows of plain motion begin and end.
-    #: (w,): Time at rest in each window, by the machine file [s]; only with cycle times.
+    windows: IntArray  #: (w, 2): Indices of the events at which windows begin and end.
+    #: (w,): Time at rest in each window by the machine file [s]; only for cycle times.
     standing: FloatArray | None = None
 
     @staticmethod
@@ -220,9 +221,9 @@ class TracedRun:
     def of_times(
         program: TimedProgram, machine: Machine, times: Sequence[CycleTime], source: Path
     ) -> list[TracedRun]:
-        """Return the runs in a table of cycle times, each with a window for each row.
+        """Return the runs in a table of cycle times; each row of the table is a window.
 
-        The times are those that `estimate` prints: of the program, or of each tool in their order.
+        The times are as `estimate` prints them: of the program, or of each tool in order.
         """
         program = replace(program, whole=True)
         gathered = ProgramTimes()
@@ -257,13 +258,13 @@ class TracedRun:
         return np.diff(motion.until(self.trace.line[self.windows]), axis=1)[:, 0]
 
     def stretches(self) -> Iterator[tuple[int, int]]:
-        """Yield first and last window of each stretch in which no output was switched."""
+        """Yield first and last window of each sequence of adjacent windows."""
         breaks = np.flatnonzero(self.windows[1:, 0] != self.windows[:-1, 1]) + 1
         edges = [0, *breaks.tolist(), len(self.windows)]
         yield from ((a, b - 1) for a, b in pairwise(edges))
 
     def rests(self, machine: Machine, motion: Motion) -> Iterator[tuple[int, float]]:
-        """Yield field numbers of ``Standstill`` and their values around each tool change."""
+        """Yield field number of ``Standstill`` and measured value, for each tool change."""
         if self.standing is not None:
             return
         functions, line, t = self.program.functions, self.trace.line, self.trace.time
@@ -288,21 +289,21 @@ class TracedRun:
                 yield 2, self._beyond(motion, int(before[-1]), int(begin)) / fall
 
     def _beyond(self, motion: Motion, first: int, last: int) -> float:
-        """Return the time between two events beyond the planned motion, at least 0 [s]."""
+        """Return the time between two events minus that of the planned motion, at least 0 [s]."""
         planned = np.diff(motion.until(self.trace.line[[first, last]]))[0]
         return max(0.0, float(self.trace.time[last] - self.trace.time[first] - planned))
 
 
 @dataclass(frozen=True)
 class Fitted:
-    machine: Machine  #: With what was found.
-    #: Each value by name: how the machine file has it, and half of its 95 % interval.
+    machine: Machine  #: Machine with the fitted values.
+    #: Key in the machine file -> fitted value, and half width of its 95 % interval.
     values: dict[str, tuple[float, float]]
-    motions: list[Motion]  #: Of each run, planned on this machine.
+    motions: list[Motion]  #: Motion of each run, planned on this machine.
 
 
 def with_parameters(machine: Machine, x: FloatArray) -> Machine:
-    """Return the machine with jerks of X Y Z, accelerations and look-ahead by logarithms (6,)."""
+    """Return the machine with fitted values; ``x`` (6,): logarithms of their factors."""
     jerk, acceleration = machine.max_jerk.copy(), machine.max_acceleration.copy()
     jerk[:3] *= np.exp(x[:3])
     acceleration[:3] *= np.exp(x[3])
@@ -317,7 +318,7 @@ def with_parameters(machine: Machine, x: FloatArray) -> Machine:
 
 
 class TimeFit:
-    """The fit to several runs; runs of the same program are planned once."""
+    """The fit to several runs. Runs of the same program are planned only once."""
 
     def __init__(self, machine: Machine, runs: Sequence[TracedRun], tell: Callable[[str], None]):
         velocity = machine.max_velocity.copy()
@@ -333,7 +334,7 @@ class TimeFit:
         self._stands = np.concatenate(stands)
 
     def motions(self, x: FloatArray, whole: bool = False) -> list[Motion]:
-        """Plan the programs of the runs, each once; their samples, or all of them."""
+        """Return the planned motion of each run's program: of its sample, or ``whole``."""
         machine = with_parameters(self._machine, x)
         planned: dict[int, Motion] = {}
         for program in (run.program for run in self._runs):
@@ -343,7 +344,7 @@ class TimeFit:
         return [planned[id(run.program)] for run in self._runs]
 
     def _off(self, x: FloatArray) -> FloatArray:
-        """Return measured minus planned times of the windows [s]."""
+        """Return measured minus planned time of each window [s]."""
         triples = zip(self._runs, self._kept, self.motions(x), strict=True)
         return self._measured - np.concatenate([run.planned(m)[kept] for run, kept, m in triples])
 
@@ -369,7 +370,7 @@ class TimeFit:
         return self._fitted(*best[1:])
 
     def _weights(self, off: FloatArray) -> tuple[FloatArray, float]:
-        """Return the weights of windows, and the weight of the prior."""
+        """Return the weight of each window, and the weight of the prior."""
         weight = self._stands / np.hypot(1.0, off / ROBUST)
         return weight, float(np.mean(weight * off**2)) / PRIOR**2
 

@@ -1,7 +1,7 @@
-"""Records of controls and shops: which line began when, path feeds, and cycle times.
+"""Read records of controls and shops: start times of lines, path feeds, and cycle times.
 
 A record is a CSV file, a document of MTConnect streams, or a trace of a Sinumerik. Error messages
-name the line that cannot be read.
+name the line of the record that cannot be read.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from cnc_interp.core import FloatArray, IntArray, InterpError
 LINES, NUMBERS, FEEDS = 'time_s,block', 'time_s,number', 'time_s,feed_mm_per_s'
 BY_PROGRAM, BY_TOOL = 'program,time_s', 'program,tool,time_s'
 _NUMBER = re.compile(r'\s*(?:/\d?\s*)?N(\d+)', re.I)
-#: Observations of MTConnect that give the line: its number in the file, or its N word.
+#: MTConnect observations: line number in the file; N word of the line; path feed.
 _LINE_ITEMS, _LABEL, _FEED = ('LineNumber', 'Line'), 'LineLabel', 'PathFeedrate'
 #: Signals of a Sinumerik: the line of the program, and the path feed [mm/min].
 _LINE_SIGNAL, _FEED_SIGNAL = 'linenumber', 'feedrateipo'
-_NOTHING = 9.2e18  #: From here on a value of a Sinumerik means that there is none.
-Rows = list[tuple[int, float, float]]  #: Line of the record, time [s], and value.
+_NOTHING = 9.2e18  #: A larger value of a Sinumerik means: no value.
+Rows = list[tuple[int, float, float]]  #: Rows: line of the record, time [s], value.
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Values recorded by a control while it ran a program."""
+    """Values that a control has recorded while it executed a program."""
 
     name: str
-    #: (k,): Times, and the line executed from then on [s].
+    #: (k,): Times at which lines began [s], and these source lines.
     time: FloatArray
     line: IntArray
-    feed: FloatArray  #: (m, 2): Times and path feeds [s, m/s]; no rows without a record.
+    feed: FloatArray  #: (m, 2): Time [s] and path feed [m/s]; m = 0 if not recorded.
 
     def line_at(self, time: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the line executed at times [s], and for how long it has been [s]."""
+        """Return the line executed at each time [s], and the time since its start [s]."""
         at = np.maximum(np.searchsorted(self.time, time, side='right') - 1, 0)
         return self.line[at], time - self.time[at]
 
@@ -51,14 +51,14 @@ class Trace:
 class CycleTime:
     """A row of a table of cycle times."""
 
-    row: int  #: Its line in the table.
+    row: int  #: Line of the table.
     program: str
-    tool: int | None  #: None: the time is that of the whole program.
-    time: float  #: [s]
+    tool: int | None  #: Tool number; None for the whole program.
+    time: float  #: Cycle time [s].
 
 
 def cycle_times(path: Path) -> list[CycleTime]:
-    """Read ``program,time_s`` or ``program,tool,time_s``; no rows for another kind of record."""
+    """Read a table ``program,time_s`` or ``program,tool,time_s``; [] for other records."""
     if path.suffix.lower() == '.xml':
         return []
     head, *lines = _lines_of(path)
@@ -76,9 +76,9 @@ def cycle_times(path: Path) -> list[CycleTime]:
 
 
 def load_traces(path: Path, program: Path) -> list[Trace]:
-    """Read the runs of a program in a record; where the lines begin again, a new run begins.
+    """Read the runs of a program in a record. A run begins where line numbers fall.
 
-    X_feed.csv beside X_blocks.csv contains the feeds.
+    For a record X_blocks.csv, the feeds are read from X_feed.csv beside it.
     """
     labelled = False
     feed = np.zeros((0, 2))
@@ -144,7 +144,7 @@ def _numbers(path: Path, row: int, words: Sequence[str], head: str) -> tuple[flo
 
 
 def _by_number(path: Path, rows: Rows, program: Path) -> Rows:
-    """Return the rows with lines of the program in place of their N words, which may restart."""
+    """Return the rows with N words replaced by lines of the program; N words may repeat."""
     places = defaultdict(list)
     for line, text in enumerate(_lines_of(program), 1):
         if match := _NUMBER.match(text):
@@ -162,7 +162,7 @@ def _by_number(path: Path, rows: Rows, program: Path) -> Rows:
 
 
 def _of_xml(path: Path, program: Path) -> tuple[Rows, Rows, bool]:
-    """Return lines, feeds, and whether the lines are N words."""
+    """Return rows of lines, rows of feeds, and whether the lines are N words."""
     try:
         text = path.read_bytes()
         roots = [ElementTree.fromstring(part) for part in _documents(text)]
@@ -178,7 +178,7 @@ def _of_xml(path: Path, program: Path) -> tuple[Rows, Rows, bool]:
 
 
 def _documents(text: bytes) -> list[bytes]:
-    """Return the documents of a file; a recorded stream has many, with heads between them."""
+    """Return the XML documents in a file; a recorded stream has many, with HTTP heads between."""
     parts = [b'<?xml' + part for part in text.split(b'<?xml')[1:]] or [text]
     return [part[: part.rindex(b'>') + 1] if b'>' in part else part for part in parts]
 

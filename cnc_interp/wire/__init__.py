@@ -1,1 +1,1 @@
-"""Conversion of dataclasses to ROS messages and back, message checks, and the window protocol."""
+"""Convert dataclasses to ROS messages and back; check messages; the window protocol."""

@@ -1,4 +1,4 @@
-"""Messages with the state of the machine, its joints and the executed setpoints."""
+"""Build the messages of machine_node: state, joints, and executed setpoints."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -31,7 +31,7 @@ def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState
 def executed_setpoints(
     playback: Playback, period: float
 ) -> list[tuple[msg.SetpointChunk, msg.AxisFeedback]]:
-    """Return setpoints and feedback since the last call, numbered from the start of the run."""
+    """Return the setpoints and feedback executed since the last call; numbers count in the run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
     queue = playback.switching.switched
     switched = [queue.popleft() for _ in range(len(queue))]
@@ -53,7 +53,7 @@ def executed_setpoints(
 
 
 def followed_spindle(playback: Playback) -> Iterator[msg.FollowedSpindle]:
-    """Yield the motion in step with the spindle since the last call, one message per line."""
+    """Yield the motion in step with the spindle since the last call: a message per source line."""
     found = [playback.followed.popleft() for _ in range(len(playback.followed))]
     for (run_id, block), parts in groupby(found, lambda each: (each.run_id, each.block)):
         each = list(parts)
@@ -88,7 +88,7 @@ def _executed_of_plan(
     return setpoints, msg.AxisFeedback(**common, positions=packed(actual))
 
 
-#: Fields of ``MachineState``, with their names in ``RunState`` and ``Playback``.
+#: Fields of the message ``MachineState`` that are copied from ``RunState``.
 OF_RUN = (
     'waits_for',
     'reason',
@@ -152,7 +152,7 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
 def signals_message(
     signals: Signals, outputs: Sequence[float], inputs: Sequence[float]
 ) -> msg.MachineSignals:
-    """Return outputs and inputs as a message, without numeric inputs, which keep changing."""
+    """Return outputs and inputs as a message. Numeric inputs are left out: they always change."""
     told = [k for k, signal in enumerate(signals.inputs) if not signal.is_number]
     return msg.MachineSignals(
         outputs=[signal.name for signal in signals.wires],

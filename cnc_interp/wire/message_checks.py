@@ -1,4 +1,4 @@
-"""Checks of received messages: finite values, right shapes, values that make sense."""
+"""Check received messages: values must be finite and possible, arrays of the right shape."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cnc_interp.wire.path_messages import (
 )
 from cnc_interp.wire.run_messages import settings_from
 
-UNIT = 1e-9  #: Largest accepted deviation of the length of a tool axis from 1 [-].
+UNIT = 1e-9  #: Accepted deviation of a tool axis's length from 1 [-].
 
 
 NO_SIGNALS = Signals()
@@ -35,9 +35,9 @@ NO_SIGNALS = Signals()
 def check_block(
     message: G1Block, extra_count: int = 0, signals: Signals = NO_SIGNALS, spins: bool = False
 ) -> None:
-    """Reject a block with impossible values, or with another number of extra axes.
+    """Raise StreamError for a block with impossible values or a wrong number of extra axes.
 
-    With ``spins`` the spin of an arm may follow the extra axes.
+    With ``spins``, the spin of an arm may be appended to the extra axes.
     """
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
@@ -116,7 +116,7 @@ def _check_control_point(name: str, message: G1Block) -> None:
 def check_segment(
     message: PathSegment, extra_count: int = 0, signals: Signals = NO_SIGNALS, spins: bool = False
 ) -> None:
-    """Reject a segment that does not fit its kind or the machine's number of extra axes."""
+    """Raise StreamError for a segment with fields wrong for its kind, or wrong extra axes."""
     name = f'segment {message.sequence} (line {message.line_number})'
     kind, curved = message.kind, message.kind in CURVES
     if kind not in (LINE, CORNER, ROTATION, SPLINE):
@@ -163,7 +163,7 @@ def _check_spline(name: str, spline: BSpline, kind: int) -> None:
 
 
 def _check_parametrization(name: str, spline: BSpline) -> None:
-    """Reject a u_top = f(u) unless it consists of sextic spans and rises from 0 to 1."""
+    """Raise StreamError unless the spline f of u_top = f(u) is sextic and rises from 0 to 1."""
     knots, values = np.array(spline.knots), np.array(spline.control_points)
     if not len(knots) and not len(values):
         return
@@ -187,9 +187,9 @@ def _check_parametrization(name: str, spline: BSpline) -> None:
 def check_chunk(
     message: SetpointChunk, machine: Machine, period: float, before: FloatArray
 ) -> None:
-    """Reject setpoints with a wrong shape, machine or period, or that break limits.
+    """Raise StreamError for setpoints with wrong shape, machine or period, or beyond limits.
 
-    ``before`` (3, n): the three setpoints before them.
+    ``before`` (3, n): positions of the three setpoints before this chunk.
     """
     name = f'setpoints from {message.first_sample}'
     n, axis_count = len(message.sequences), len(machine.axis_names)
@@ -217,7 +217,7 @@ def check_chunk(
 
 
 def check_state(message: MachineState, axis_count: int | None = None) -> None:
-    """Reject a machine state from which nothing can be planned; None accepts any axis count."""
+    """Raise StreamError for a state unusable for planning. None: any ``axis_count`` is valid."""
     name = 'machine_state'
     count = len(message.commanded_positions) if axis_count is None else axis_count
     if len(message.positions) != count:
@@ -237,7 +237,7 @@ def check_state(message: MachineState, axis_count: int | None = None) -> None:
 
 
 def check_setpoints(message: SetpointChunk, axis_count: int, prefix: str = '') -> None:
-    """Reject setpoints, or a stop tail, with a wrong shape or another number of axes."""
+    """Raise StreamError if setpoints, or a stop tail, have a wrong shape or number of axes."""
     name, n = f'setpoints from {message.first_sample}', len(getattr(message, f'{prefix}sequences'))
     if message.axis_count != axis_count:
         raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')

@@ -31,16 +31,16 @@ from cnc_interp.wire.run_messages import run_id_of
 CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 LINEAR_KNOTS = array('d', [0.0, 0.0, 1.0, 1.0])
 QUINTIC_KNOTS = array('d', [0.0] * 6 + [1.0] * 6)
-#: Degree, knots and number of control points of the curves of each kind of segment.
+#: Kind of segment -> degree, knots and number of control points of its curves.
 CURVES = {CORNER: (3, CUBIC_KNOTS, 5), SPLINE: (5, QUINTIC_KNOTS, 6)}
 LINE_CURVE = (1, LINEAR_KNOTS, 2)
-#: Number of Bezier points of a quintic and a septic connection; degree of parametrization spans.
+#: Numbers of Bezier points of a quintic and of a septic connection; degree of spans of u_top.
 CONNECTION_POINTS = (6, 8)
 SPAN_DEGREE = 6
 
-FIELDS = {'extra': 'extra_axes'}  #: Fields whose name differs from their column of ``Blocks``.
-#: Columns of ``PathSegments`` with a field of the same name; columns of two values, and their
-#: fields.
+FIELDS = {'extra': 'extra_axes'}  #: Column of ``Blocks`` -> message field with another name.
+#: Columns of ``PathSegments`` that have a message field of the same name; and columns of two
+#: values, with the fields of both.
 ALIKE = {
     'kind': 'kind',
     'axis': 'axis',
@@ -61,7 +61,7 @@ PAIRS = {
 def block_messages(
     blocks: Blocks, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[G1Block]:
-    """Convert rows to messages; ``end``: whether the last row ends the program."""
+    """Return a message for each block; ``end``: whether the last block ends the program."""
     columns: dict[str, list[Any]] = {'spline': blocks.on_spline.tolist()}
     for name, declared in Blocks.declared.items():
         values = getattr(blocks, name)
@@ -97,7 +97,7 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
 def segment_messages(
     segments: PathSegments, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[PathSegment]:
-    """Convert consecutive segments to messages; ``end`` marks the last one of the program."""
+    """Return a message for each segment; ``end``: whether the last one ends the program."""
     last = len(segments) - 1
     return [
         _segment_message(segments, i, run_id, first_sequence + i, flank_height, end and i == last)
@@ -137,7 +137,7 @@ def _spline(points: FloatArray, kind: int) -> BSpline:
 
 
 def _parametrization(spans: FloatArray) -> BSpline:
-    """Convert the spans of u_top = f(u), shape (k, 8), to a B-spline, which may be empty."""
+    """Return the spans of u_top = f(u), shape (k, 8), as a B-spline message; empty if k = 0."""
     if not len(spans):
         return BSpline()
     inner = np.repeat(spans[1:, 0], SPAN_DEGREE)
@@ -156,7 +156,7 @@ def _spans_of(spline: BSpline) -> FloatArray:
 
 
 def packed(values: FloatArray) -> array[float]:
-    """Flatten an array to the array type of messages, bit for bit."""
+    """Return an array, flattened, in the array type of messages, bit for bit."""
     return array('d', np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
 
@@ -229,7 +229,7 @@ def functions_from(messages: Sequence[Function]) -> Functions:
 
 
 def check_functions(name: str, messages: Sequence[Function], signals: Signals) -> None:
-    """Reject functions that have gaps, are out of order, or are unknown to the machine file."""
+    """Raise StreamError if functions have gaps, are out of order, or not in the machine file."""
     for before, message in pairwise(messages):
         if message.number != before.number + 1 or message.sequence < before.sequence:
             raise StreamError(f'{name}: function {message.number} does not follow')
@@ -243,7 +243,7 @@ def check_functions(name: str, messages: Sequence[Function], signals: Signals) -
             raise StreamError(f'{name}: function {message.number}: {fault}')
 
 
-#: Fields of ``SetpointChunk`` with a value for each setpoint, and their columns in ``Setpoints``.
+#: Field of ``SetpointChunk`` with a value for each setpoint -> its column in ``Setpoints``.
 SETPOINT_FIELDS = {
     'positions': 'position',
     'velocities': 'velocity',
@@ -253,7 +253,7 @@ SETPOINT_FIELDS = {
     'sequences': 'block',
     'line_numbers': 'line',
 }
-INTEGERS = {'sequences': 'Q', 'line_numbers': 'I'}  #: Integer fields and their array types.
+INTEGERS = {'sequences': 'Q', 'line_numbers': 'I'}  #: Integer field -> its array type.
 NO_SIGNALS, AS_PROGRAMMED = Signals(), OperatorSettings()
 
 
@@ -266,9 +266,9 @@ def chunk_message(
     signals: Signals = NO_SIGNALS,
     settings: OperatorSettings = AS_PROGRAMMED,
 ) -> SetpointChunk:
-    """Convert a chunk to a message.
+    """Return a chunk as a message.
 
-    ``joins``: whether it is the first chunk of a plan that takes over while the axes move.
+    ``joins``: whether it is the first chunk of a plan that joins another one in motion.
     """
     samples = chunk.samples
     return SetpointChunk(
@@ -290,7 +290,7 @@ def chunk_message(
 
 
 def settings_of_plan(message: SetpointChunk) -> OperatorSettings:
-    """Return the operator's settings with which the plan of a message was made."""
+    """Return the operator's settings with which the plan of a chunk was made."""
     shares = message.rapid_override, message.spindle_override
     return OperatorSettings(message.feed_override, message.single_block, *shares)
 
@@ -312,7 +312,7 @@ def chunk_from(message: SetpointChunk) -> Chunk:
 
 
 def setpoints_from(message: SetpointChunk, prefix: str = '', before: int = 0) -> Setpoints:
-    """Read the setpoints of a chunk, or with a prefix those of its stop tail."""
+    """Return the setpoints of a message; with prefix ``tail_`` those of its stop tail."""
     n, columns = len(getattr(message, f'{prefix}sequences')), {}
     for field, name in SETPOINT_FIELDS.items():
         declared = Setpoints.declared[name]
@@ -323,7 +323,7 @@ def setpoints_from(message: SetpointChunk, prefix: str = '', before: int = 0) ->
 
 
 class JoinGate:
-    """Holds back the first chunks of a joining plan until there are enough of them."""
+    """Holds back the first chunks of a joining plan until ``enough`` setpoints are there."""
 
     def __init__(self, enough: int):
         self._enough = enough
@@ -332,7 +332,7 @@ class JoinGate:
         self._count = self._next = 0
 
     def passed(self, chunk: SetpointChunk, current: RunId, limit: int) -> list[SetpointChunk]:
-        """Return the chunks that may be sent; ``limit``: first setpoint that must wait."""
+        """Return the chunks to process now; ``limit``: first setpoint beyond the window."""
         run_id, first, count = run_id_of(chunk), chunk.first_sample, len(chunk.sequences)
         if run_id == current or not (chunk.joins or run_id == self._run_id):
             return [chunk]

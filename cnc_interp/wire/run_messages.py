@@ -1,4 +1,4 @@
-"""Messages about a whole run: its settings, the machine's report, its progress and its result."""
+"""Messages about a whole run: its goal, machine reports, progress and result."""
 
 import getpass
 import math
@@ -23,7 +23,7 @@ from cnc_interp.settings.options import Settings, texts_of, with_texts
 
 
 def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) -> None:
-    """Add the executed counts to a result; ``states``: last state of each part of a program."""
+    """Fill in the executed figures of a result; ``states``: last one of each program part."""
     for state in states:
         count, period = state.samples - state.approach_samples, state.interpolation_period
         result.cycle_time += max(0, count - 1) * period
@@ -45,7 +45,7 @@ def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) 
 
 
 def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feedback:
-    """Return the feedback of a run in motion; ``path_length``: of its smoothed path [m]."""
+    """Return the feedback message of a run; ``path_length``: length of the smoothed path [m]."""
     period = state.interpolation_period
     share = min(1.0, max(0.0, state.path_position / path_length))
     driven = (state.samples - state.approach_samples) * period
@@ -60,7 +60,7 @@ def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feed
 
 
 def in_program(state: msg.MachineState | None) -> bool:
-    """Return whether a program or MDI line is executed or held, even if axes were moved away."""
+    """Return whether a program or MDI line runs or is on hold, even if axes were jogged away."""
     if state is None:
         return False
     away = len(state.resume_positions) > 0
@@ -79,16 +79,16 @@ def coordinates_from(modes: msg.ModalState) -> ProgramCoordinates:
 
 
 def run_id_of(message: Any) -> RunId:
-    """Return the run that a message belongs to; without a field ``plan`` its plan is 0."""
+    """Return the run id in a message. Messages without a field ``plan`` have plan 0."""
     return RunId(message.program_id, message.attempt, getattr(message, 'plan', 0))
 
 
-#: Refusals of the machine that end all attempts at a run and all its plans.
+#: Refusals by the machine that end a run with all its attempts and plans.
 OF_PROGRAM = (Refusal.GIVEN_UP, Refusal.MACHINE_FAULT)
 
 
 def ends(status: msg.StreamStatus, run_id: RunId) -> bool:
-    """Return whether the refusal in a status ends a run, or this attempt at it."""
+    """Return whether a status refuses the plan ``run_id``, or the whole run."""
     told = run_id_of(status)
     same_program = told.program_id == run_id.program_id and status.refusal_kind in OF_PROGRAM
     return bool(status.refusal_kind) and (told == run_id or same_program)
@@ -103,9 +103,9 @@ def setup_table(
     by: str,
     what: str,
 ) -> msg.SetupTable:
-    """Convert a setup to a message.
+    """Return a setup as a message.
 
-    ``zero``: workpiece zero of the machine file; ``program_id``: run that began with this setup.
+    ``zero``: workpiece zero of the machine file; ``program_id``: the run that uses this setup.
     """
     tools = [
         msg.Tool(number=number, length=tool.length, radius=tool.radius, remark=tool.remark)
@@ -138,20 +138,20 @@ def _offset(name: str, position: Position) -> msg.Offset:
     return msg.Offset(name=name, axes=list(position), values=list(position.values()))
 
 
-#: States without a number of their own in the message, with the state that is sent instead. All
-#: other states have a number of the same name.
+#: State without a number in the message -> state that is sent instead. All other states have
+#: a number with the same name.
 TOLD_AS = {
     State.PAUSED: State.RUNNING,
     State.FILLING: State.RUNNING,
     State.STARVING: State.STARVED,
     State.AWAY: State.JOGGING,
 }
-#: The number of each state in ``MachineState``.
+#: State -> its number in the message ``MachineState``.
 NUMBERS = {state: getattr(msg.MachineState, TOLD_AS.get(state, state).name) for state in State}
 
 
 def state_of(message: msg.MachineState) -> State:
-    """Return the state of the machine; an unknown number is taken as motion."""
+    """Return the state in a message; an unknown number counts as motion."""
     if message.state == msg.MachineState.STARVED:
         return State.STARVED if message.resting else State.STARVING
     if message.state == msg.MachineState.RUNNING and message.resting:
@@ -189,7 +189,7 @@ def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
 def goal_of(
     program: Path, settings: Settings, names: Collection[str] | None = None, text: str = ''
 ) -> RunProgram.Goal:
-    """Return the goal for a program. The goal carries all settings, or only those in ``names``."""
+    """Return the goal that runs a program. It has all settings, or only those in ``names``."""
     wanted = [c for c in choices(settings) if names is None or c.name in names]
     texts = {c.name: c.text_with_unit(getattr(settings, c.name)) for c in wanted}
     pairs = [KeyValue(key=name, value=value) for name, value in texts.items()]
@@ -198,7 +198,7 @@ def goal_of(
 
 
 def user_name() -> str:
-    """Return the name of the user of this process; empty if it is not known."""
+    """Return the user name of this process; '' if it is unknown."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -206,10 +206,10 @@ def user_name() -> str:
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
-    """Return the settings of a goal: its fields that are not 0 or empty, then its list.
+    """Return the settings of a goal: fields that are not 0 or empty, then its list of settings.
 
-    Raises SettingsError if a setting is unknown or impossible, if it belongs to the nodes and
-    differs from theirs, or if only `plan` has it.
+    All others are ``defaults``. Raises SettingsError if a setting is unknown or impossible, if it
+    belongs to the nodes and differs from theirs, or if it is only for `plan`.
     """
     fields = goal.get_fields_and_field_types()
     given = {

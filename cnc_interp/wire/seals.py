@@ -1,9 +1,9 @@
-"""Seals: bytes after a message that prove which of the nodes sent it.
+"""Seals: bytes appended to a message that prove which node has sent it.
 
-A seal holds the number of the sender, the number of the message, and a code. The code is the first
-eight bytes of an HMAC-SHA-256 of namespace, topic and message, keyed with a secret that the nodes
-of one user share. Readers of the message ignore the bytes after it. DDS delivers multiples of four
-bytes to another process, so the message is padded to such a multiple before its seal.
+A seal contains the number of the sender, the number of the message, and a code. The code is the
+first eight bytes of an HMAC-SHA-256 of namespace, topic and message. Its key is a secret that the
+nodes of one user share. Other readers ignore the bytes after a message. DDS delivers multiples of
+four bytes to another process, so the message is padded to such a multiple before its seal.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from typing import NamedTuple
 
 from cnc_interp.core import InterpError
 
-KEY_FILE = 'CNC_INTERP_KEY_FILE'  #: Variable that names the key file; the default is per user.
-LAYOUT = struct.Struct('<II')  #: Sender and number of a message.
-CODE = 8  #: Bytes of the code.
+KEY_FILE = 'CNC_INTERP_KEY_FILE'  #: Environment variable with the path of the key file.
+LAYOUT = struct.Struct('<II')  #: Numbers of sender and message.
+CODE = 8  #: Length of the code [bytes].
 SIZE = LAYOUT.size + CODE
 ALIGNED = 4  #: DDS delivers messages in multiples of this size [bytes].
-KEY = 32  #: Bytes of a key.
-SILENT = 1.0  #: After this silence of a sender another one may take its place [s].
+KEY = 32  #: Length of a key [bytes].
+SILENT = 1.0  #: If a sender is silent for this time, another one may replace it [s].
 
 
 def key_file() -> Path:
-    """Return the key file; the default file lasts until the computer restarts."""
+    """Return the path of the key file. The default file exists until the computer restarts."""
     named = os.environ.get(KEY_FILE)
     return Path(named) if named else Path(f'/dev/shm/cnc_interp_{os.getuid()}.key')
 
 
 @cache
 def key_in(path: Path) -> bytes:
-    """Read a key, or create it; InterpError if other users can read it or may have written it."""
+    """Return the key in a file, or create it. InterpError if other users can access the file."""
     made = path.with_name(f'{path.name}.{secrets.token_hex(8)}')
     try:
         if not path.exists():
@@ -60,7 +60,7 @@ def key_in(path: Path) -> bytes:
 
 
 class Place(NamedTuple):
-    """The namespace and topic in which messages are sealed, with the key of the nodes."""
+    """Namespace and topic of sealed messages, and the key of the nodes."""
 
     name: bytes
     key: bytes
@@ -74,13 +74,13 @@ class Place(NamedTuple):
 
 
 class Seal:
-    """The seals of one sender on one topic."""
+    """Seals the messages of one sender on one topic."""
 
     def __init__(self, place: Place):
         self._place, self._sender, self._number = place, secrets.randbits(32), 0
 
     def on(self, data: bytes) -> bytes:
-        """Return a serialised message with its seal."""
+        """Return a serialised message with its seal appended."""
         data += bytes(-len(data) % ALIGNED) + LAYOUT.pack(self._sender, self._number % 2**32)
         self._number += 1
         return data + self._place.code(data)
@@ -91,21 +91,21 @@ WAITS = 'waits for the first sender to be silent'
 
 
 class KnownSender:
-    """The one accepted sender of a stream: the first one heard, until it falls silent.
+    """The one accepted sender of a topic: the first that is heard, until it falls silent.
 
-    ``numbered``: whether messages carry their own numbers, so that late or repeated ones are
-    accepted here. A second sender may be the restarted process of a lost node. The messages of
-    such a sender are therefore counted, and reported only if the first sender is heard again.
+    ``numbered``: whether messages contain their own numbers; late and repeated messages are then
+    accepted here. A second sender may be a lost node that was restarted. Its messages are
+    therefore counted, and reported only if the first sender is heard again.
     """
 
     def __init__(self, numbered: bool = False):
         self._numbered = numbered
-        self.waiting = 0  #: Messages of a second sender since the first one was heard.
+        self.waiting = 0  #: Messages of a second sender since the last of the first.
         self._sender, self._number, self._heard = -1, -1, -math.inf
         self._past: set[int] = set()
 
     def fault(self, sender: int, number: int, now: float) -> str:
-        """Return why a message with a valid seal is ignored; empty if it is accepted."""
+        """Return why a message with a valid seal is ignored; '' if it is accepted."""
         if sender != self._sender:
             if sender in self._past:
                 return SECOND
@@ -121,7 +121,7 @@ class KnownSender:
 
 
 def opened_seal(place: Place, data: bytes) -> tuple[bytes, int, int] | None:
-    """Return message, sender and number; None if the seal is not valid."""
+    """Return message, sender and message number; None if the seal is invalid."""
     body = data[:-CODE]
     if len(data) <= SIZE or not hmac.compare_digest(data[-CODE:], place.code(body)):
         return None

@@ -1,9 +1,8 @@
-"""Both ends of a stream with a sliding window, as in TCP; without a clock or ROS.
+"""Both ends of a stream with a sliding window, as in TCP. They need no clock and no ROS.
 
-Items are numbered without gaps within a program; an item with several elements (a chunk of
-setpoints) takes several numbers. The sender keeps every item until it is acknowledged. The sender
-resends the first missing item, and later ones only once the receiver reports that they are missing
-too.
+Items are numbered without gaps within a program. An item with several elements (a chunk of
+setpoints) has several numbers. The sender keeps every item until it is acknowledged. It resends
+the first missing item, and later items only if the receiver reports that they are missing, too.
 """
 
 import math
@@ -16,11 +15,11 @@ from cnc_interp.core import Refusal, StreamError
 from cnc_interp.run.run_state import NO_RUN, RunId
 
 Item = TypeVar('Item')
-REMEMBERED = 64  #: Number of past programs whose late messages are recognised.
-#: Time allowed for resent items to arrive. It doubles with each failure, so that an overloaded
-#: computer is not loaded further [s].
+REMEMBERED = 64  #: Late messages are recognised for this many past runs.
+#: Time allowed for resent items to arrive [s]. It doubles with each failure, so that resending
+#: does not add to the load of an overloaded computer.
 SETTLE = 0.05
-MOST_PATIENT = 16.0  #: Longest delay before resending, as a multiple of the first.
+MOST_PATIENT = 16.0  #: Longest delay of resending over the shortest one [-].
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class Numbered(Generic[Item]):
 
 
 class WindowedSender(Generic[Item]):
-    """The sending end; it resends after ``resend_after`` [s] of silence, then after twice that."""
+    """The sending end. It resends after ``resend_after`` [s] of silence, then after twice that."""
 
     def __init__(self, resend_after: float):
         self.resend_after = self._patience = resend_after
@@ -59,7 +58,7 @@ class WindowedSender(Generic[Item]):
         self._patience = self.resend_after
 
     def begin(self, run_id: RunId, first: int = 0, limit: int = 0) -> None:
-        """Start a new program at a number; unsent items of the old one are dropped."""
+        """Begin a run whose first item has number ``first``; drop all items of the old run."""
         self.run_id = run_id
         self._begin(first, limit)
 
@@ -76,7 +75,7 @@ class WindowedSender(Generic[Item]):
         return not self._items
 
     def due(self, now: float) -> list[Numbered[Item]]:
-        """Return the items to send now, lost ones included; the first may exceed the window."""
+        """Return the items to send or resend now. The first item may be sent without a window."""
         if self._in_flight and now - self._since > self._patience:
             self._lost()
             self._patience = min(2.0 * self._patience, MOST_PATIENT * self.resend_after)
@@ -100,14 +99,14 @@ class WindowedSender(Generic[Item]):
         self._in_flight, self._repeats, self._repeated = 0, 1, 1
 
     def take_back(self, items: int) -> None:
-        """Mark the last items returned by ``due`` as not sent, because publishing failed."""
+        """Mark the last ``items`` returned by ``due`` as not sent, because publishing failed."""
         self._in_flight = max(0, self._in_flight - items)
         self._repeats += items
 
     def acknowledge(
         self, run_id: RunId, next_number: int, window_limit: int, now: float, gap: bool = False
     ) -> None:
-        """Process a status of the receiver; items that it lacks and still accepts are resent."""
+        """Process a status of the receiver; missing items within the window will be resent."""
         if run_id != self.run_id or next_number > self.sent:
             return
         if self._items and self._items[0].after <= next_number:
@@ -130,9 +129,9 @@ class WindowedSender(Generic[Item]):
 
 
 class WindowedReceiver:
-    """The receiving end; ``window``: how many numbers may be sent beyond the last consumed.
+    """The receiving end; ``window``: how many numbers may be sent beyond the last consumed one.
 
-    ``gives_way``: whether the run on a topic gives way to the next one there.
+    ``gives_way``: function that returns whether a run on a topic is given up for a new run there.
     """
 
     def __init__(
@@ -156,7 +155,7 @@ class WindowedReceiver:
         return self.consumed + self.window if self.active else self.next_number
 
     def expect(self, run_id: RunId, first: int, begins: bool) -> None:
-        """Raise StreamError unless an item is next or ``begins`` a program; change nothing."""
+        """Raise StreamError unless item ``first`` is the next one or ``begins`` a plan."""
         why, kind = self._fault(run_id, first, begins)
         if kind is Refusal.PLAN_OVER:
             raise StreamError(why, kind)
@@ -195,7 +194,7 @@ class WindowedReceiver:
         return '', Refusal.NONE
 
     def take(self, run_id: RunId, first: int, count: int = 1, end: bool = False) -> None:
-        """Count a valid item that ``expect`` has accepted."""
+        """Count an item as received; ``expect`` must have accepted it."""
         if run_id != self.run_id:
             self._begin(run_id, first)
         self.next_number += count
@@ -209,17 +208,17 @@ class WindowedReceiver:
         self.complete, self.refused, self.refusal_text, self._closed = False, Refusal.NONE, '', ''
 
     def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
-        """Accept nothing more of a run; kind and reason as in ``StreamStatus``."""
+        """Accept no more items of a run; kind and reason go into ``StreamStatus``."""
         if run_id != self.run_id:
             self._begin(run_id)
         self.refused, self.refusal_text = kind, reason
 
     def close(self, reason: str) -> None:
-        """Accept nothing more of this plan; messages still in transit are ignored."""
+        """Accept no more items of this plan; messages in transit are ignored."""
         self.complete, self._closed = True, reason
 
     def make_way(self, run_id: RunId) -> None:
-        """Give up a run that has not moved, so that an unknown new run can begin."""
+        """Close the current run, which has not moved, if ``run_id`` is a new run."""
         if run_id not in self._past:
             self.close('its sender has begun another run before it moved')
 
@@ -228,7 +227,7 @@ class WindowedReceiver:
 
 
 class Silence:
-    """Time spent waiting for another node, excluding own work; the caller supplies the clock."""
+    """Silence of another node while this node waits for it; the caller passes the time."""
 
     def __init__(self) -> None:
         self._heard = -math.inf
@@ -238,6 +237,6 @@ class Silence:
         self._heard = now
 
     def waited(self, waits: bool, now: float) -> float:
-        """Return how long the other node has been silent while an answer was expected [s]."""
+        """Return how long this node has waited without hearing the other node [s]; else 0."""
         self._waits_since = min(self._waits_since, now) if waits else math.inf
         return now - max(self._heard, self._waits_since) if waits else 0.0

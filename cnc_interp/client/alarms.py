@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 KEPT = 200  #: Number of alarms in the history.
 COMPARED = 8  #: Number of earlier alarms with which a new one is compared.
 TOGETHER = 5.0  #: A text that several sources report within this time is one alarm [s].
-#: Number in an alarm text, but not part of a word: M5 and M6 are different alarms.
+#: A number in an alarm text that is not part of a word: M5 and M6 are different alarms.
 NUMBER = re.compile(r'\b\d+(\.\d+)?')
 LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 

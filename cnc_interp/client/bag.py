@@ -155,7 +155,7 @@ class BagWriter:
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the files of a bag; raise unless all are regular files and its YAML is plain."""
+    """Return the files of a bag; raise unless all are regular files with readable YAML."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     files = [file for file in files if file.suffix in ('.mcap', '.db3', '.yaml', '.zstd')]
     for file in files:

@@ -185,7 +185,7 @@ class ToldStates:
         self._wrong: list[str] = []
 
     def compare(self, count: int, rows: FloatArray, axes: int) -> None:
-        """Compare the machine states reported while these setpoints were executed with them."""
+        """Compare setpoints ``rows`` with the machine states reported during their execution."""
         for block, number in zip(*self._changes(rows[:, BLOCK], count), strict=True):
             if self._block > 0:
                 crossed = [stop for stop in self._stops if self._block <= stop < block]

@@ -59,7 +59,7 @@ OFFERED_BY = {
 }
 #: Commands that do no harm if they arrive twice or late; they are resent until answered.
 STOPS = ('feed_hold', 'emergency_stop')
-#: After the first time without a message, a node is lost; longest wait for an answer [s].
+#: Silence of a node that counts as lost; longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
 CALM = 1.0  #: Longest wait for an event if no request is pending [s].
 ECHO = 10.0  #: Longest time until the machine reports an override of this client [s].
@@ -133,7 +133,7 @@ class OperatorClient(ServedNode):
         self.active_modes: ModalState | None = None  # of the block that is executed
         self.signals: MachineSignals | None = None  # outputs and inputs of the machine
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
-        #: Node -> two bodies of which it reports that they hit, or would hit, and its text.
+        #: Node -> names of two bodies that hit, or would hit, each other; and its report.
         self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
         self.machine = self.scene = self.setup_file = ''
         self.history = RunHistory('')
@@ -268,7 +268,7 @@ class OperatorClient(ServedNode):
         goal: RunProgram.Goal,
         on_result: Callable[[RunProgram.Result], None] = lambda _: None,
     ) -> Future[Answer]:
-        """Send a program from any thread; return if it is accepted. Its end becomes an alarm."""
+        """Send a program from any thread; return its acceptance. Its end becomes an alarm."""
 
         def see_result(result: RunProgram.Result) -> None:
             good = result.code == RunProgram.Result.SUCCEEDED

@@ -73,7 +73,7 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
 
 #: Machine states during a run without a stop.
 ON_ITS_WAY = (MachineState.IDLE, MachineState.RUNNING)
-NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of machine_node that must agree.
+NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of machine_node that are read.
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def recorded_lesson(bag: Bag) -> Lesson:
 
 
 def _rows_of_program(bag: Bag, run: RecordedFeedback) -> slice:
-    """Return the rows of the program; raise InterpError if the run was stopped in between."""
+    """Return the rows of the program; InterpError if the run had a hold, stop or override."""
     if not run.complete:
         raise InterpError(f'{bag.path}: the run did not end as programmed; record a whole run')
     first = int(np.argmax(run.block > 0))

@@ -45,7 +45,7 @@ from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 BATCH = 256  #: Number of segments that are converted in one call.
 #: Slowing down to a lower override begins within this time after a join [s].
 STOPS_WITHIN = 0.05
-#: Every this many setpoints the path gets a grid point; and its shortest cell [m].
+#: Number of setpoints per grid point of the path; length of the shortest cell [m].
 GRID_EVERY, SHORTEST = 10, 1e-6
 
 
@@ -361,14 +361,14 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
 
 
 class ExecutedWay:
-    """The executed path positions; in memory are those on one part of the path."""
+    """The executed path positions. Only those on one part of the path are in memory."""
 
     def __init__(self, setpoints: Iterator[Setpoints], period: float):
         self._setpoints, self._period = setpoints, period
         self._s, self._first = np.zeros(0), 0  # positions, and number of the first one
 
     def advance(self, first: float, last: float) -> None:
-        """Advance to the part from ``first`` to ``last`` [m]; two setpoints are added per end."""
+        """Advance to the part ``first`` to ``last`` [m], with two setpoints beyond each end."""
         before = max(int(np.searchsorted(self._s, first)) - 2, 0)
         parts, beyond = [self._s[before:]], int(np.count_nonzero(self._s[before:] > last))
         while beyond < 2 and (part := next(self._setpoints, None)) is not None:

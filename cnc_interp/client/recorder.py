@@ -64,7 +64,7 @@ NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[RunId, int, int]]]]] =
 }
 #: Topics whose items are counted by the machine state; receivers count the others.
 EXECUTED = ('executed_setpoints', 'axis_feedback')
-#: Longest wait for the last messages [s]; DDS announces messages every 3 s.
+#: Longest wait for the last messages [s]; DDS announces lost messages every 3 s.
 LAST_WAIT = 10.0
 
 

@@ -19,7 +19,7 @@ from cnc_interp.nodes.qos import CONTACTS
 from cnc_interp.nodes.seals import hear
 
 STEP, SMALLEST = 1e-5, 1e-9  #: Step of finite differences; largest change at convergence [m].
-SEEN = 1e-3  #: Smaller singular values, over the largest one, are unobservable [-].
+SEEN = 1e-3  #: A singular value below this share of the largest one is unobservable [-].
 LEAST = 4  #: Fewest unknowns of two axes: two for the position of each line.
 ROUNDS = 20
 

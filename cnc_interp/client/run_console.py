@@ -265,7 +265,7 @@ class RunConsole:
             self._restarted, self._pressed = not self._pressed.result().ok, None
 
     def _pass_program_stop(self) -> None:
-        """Continue after a stop (M0) when Enter is pressed, or at once with the option."""
+        """Continue after a stop (M0) when Enter is pressed, or at once with ``pass_stops``."""
         state = self._client.state
         if (
             state is None

@@ -83,7 +83,7 @@ def offset_changes(
 
 
 class SetupClient:
-    """Listens to the table of offsets and tools; its changes are logged with the name ``who``."""
+    """Listens to the table of offsets and tools, and changes it under the name ``who``."""
 
     def __init__(self, nodes: OperatorClient, who: str):
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'

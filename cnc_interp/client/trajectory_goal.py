@@ -19,7 +19,7 @@ from cnc_interp.nodes.qos import FEEDBACK
 from cnc_interp.proof.plan_files import PlanFiles, gathered
 
 PATIENCE = 10.0  #: Longest wait for the controller and for joint positions [s].
-AT_START = np.array([0.1 * DEG, 0.1 * MM])  #: Largest start error [rad, m].
+AT_START = np.array([0.1 * DEG, 0.1 * MM])  #: Start tolerance of rotary and linear axes.
 
 
 def trajectory_of(plan: PlanFiles) -> Trajectory:

@@ -145,7 +145,7 @@ class Description:
     bodies: tuple[DrawnBody, ...] = ()  #: Bodies of a scene; they replace all shapes.
 
     def pose(self, link: str, positions: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-        """Return the pose of a link in the base: rotation (3, 3) and origin (3,) [m]."""
+        """Return rotation (3, 3) and origin (3,) [m] of a link in the base; missing axes at 0."""
         rotation, place = np.eye(3), np.zeros(3)
         joint_of = {joint.child: joint for joint in self.joints}
         while link in joint_of:

@@ -34,12 +34,12 @@ def columns_of(n: int, signals: Signals) -> tuple[str, str]:
 
 
 def sent(bit: int) -> str:
-    """Return the HAL pin of a bit sent by ``streamer``; bit 0 is the power, then outputs."""
+    """Return the HAL pin of a ``streamer`` bit; the bits are the power, then the outputs."""
     return f'bits-{bit // BITS}.out-{bit % BITS:02d}'
 
 
 def seen(bit: int) -> str:
-    """Return the HAL pin of a ``sampler`` bit; n faults, power and FIFO empty precede inputs."""
+    """Return the HAL pin of a ``sampler`` bit: n faults, power, FIFO empty, then the inputs."""
     return f'wsum.{bit // BITS}.bit.{bit % BITS}.in'
 
 
@@ -71,7 +71,7 @@ def gate_lines(n: int, signals: Signals) -> list[str]:
 
 
 def raw_pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the pins like ``pins_of``, but the pins ahead of the gates."""
+    """Return the pins like ``pins_of``; for a gated output, the pin ahead of the gate."""
     outputs, inputs = dict[str, str](), dict[str, str]()
     for pins, declared, name, bit, pin in (
         (outputs, signals.wires, STREAMER, 1, sent),

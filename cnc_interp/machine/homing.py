@@ -32,7 +32,7 @@ MISSED = {
 
 
 class SimulatedSwitches:
-    """Simulated reference switches: each is pressed between its position and an end of travel."""
+    """Simulated reference switches, pressed between their position and the nearer travel end."""
 
     def __init__(self, machine: Machine):
         names, given = machine.axis_names, machine.homing

@@ -17,7 +17,7 @@ THERE = TRAVEL_SLACK  #: An axis nearer than this to its target has arrived [m, 
 #: Share of the drives' limits for curvature that geometric errors add to a motion by hand, and
 #: share for its nominal axes; the rest is a reserve for the slope of the errors [-].
 BENT, KEPT = 0.1, 0.75
-TINY = 1e-12  #: Lower bound for slopes and curvatures of the errors, by which others are divided.
+TINY = 1e-12  #: Least bound of an error, because limits are divided by it.
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,7 +82,7 @@ class JointChain:
         return self.spun(self.spin_at(q)).starting(q)
 
     def starting(self, home: FloatArray) -> JointChain:
-        """Return this chain with another home (n,) [rad]; paths begin nearest to it."""
+        """Return this chain with another home (n,) [rad], near which paths begin."""
         arm = replace(arm_of(self.machine), home=home)
         return replace(self, machine=replace(self.machine, arm=arm))
 

@@ -95,7 +95,7 @@ class BlockPace:
     block_time: float  #: Shortest time for a block [s].
     jerk: float  #: Jerk limit between two vertices [m/s3].
     stops_at_rapids: bool = False  #: Whether the tool stops before and after a rapid.
-    scatter: float = 0.0  #: Relative error that 95 % of planned times keep; 0: unknown.
+    scatter: float = 0.0  #: Relative error of planned times (95 %); 0: unknown.
 
 
 def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
@@ -121,7 +121,7 @@ class Standstill:
     """Times at rest. A spindle is assumed to accelerate at constant power."""
 
     tool_change: float = 0.0  #: Time of a tool change [s].
-    #: Time to start and to stop the spindle, over the squared speed [s/(rev/min)2].
+    #: Time to start and to stop the spindle, over the change of its squared speed [s/(rev/min)2].
     start: float = 0.0
     stop: float = 0.0
     reversal: float = 0.0  #: Reversal time of a tapping spindle [s].

@@ -41,7 +41,7 @@ NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
 HOME = 'home_'  #: Prefix of inputs of reference switches, as home_x.
 #: Values of ``Step.wait`` without an input. ``TIMED``: rest for the value of the step [s].
 NO_WAIT, ASK, TIMED = 0, -(1 << 30), -(1 << 29)
-BY_SPEED = 'mm_per_min', 'share'  #: Keys of the table of an output that follows the tip.
+BY_SPEED = 'mm_per_min', 'share'  #: Keys of the table of an output that follows the tip speed.
 DWELL = 'dwell'  #: State: duration of a dwell, G4 [s].
 #: LinuxCNC word for a numbered output -> equivalent word, and letter of the output number.
 NUMBERED: Mapping[str, tuple[str, str]] = {

@@ -81,7 +81,7 @@ class MachineWatch(ServedNode):
         self._name = Question(asked, GetParameters.Request(names=['machine']))
 
     def knows_machine(self) -> bool:
-        """Request the machine's name; return whether it is known. Raises MachineError."""
+        """Request the machine's name; return whether it is known. MachineError: no such file."""
         answer = self._name.answer()
         if answer is not None and answer.values:
             self.machine = Machine.load(answer.values[0].string_value)

@@ -67,7 +67,7 @@ class Controls:
         self._told_until = 0.0  # end of the report about a rejected motion [s]
 
     def _contact(self, contact: Foresight, q: FloatArray) -> Any:
-        """Return the predicted contact at positions ``q``; None while axes are not homed."""
+        """Return the contact predicted on moves through ``q``; None while axes are not homed."""
         return None if self.homing.must_home else contact(q)
 
     def _press(self, act: Callable[[], None], _request: Any, _response: Any) -> str:

@@ -51,7 +51,7 @@ class Prepared:
     functions: Functions = NO_FUNCTIONS  #: Functions of the program.
     start: StartPlace | None = None  #: Where the run starts; None for the top.
     waits_first: bool = False  #: Whether M0 comes before any motion.
-    line: MdiLine | None = None  #: The MDI line, if it is one.
+    line: MdiLine | None = None  #: The MDI line; None for a program.
     probe: Probe | None = None  #: Probe that ends this part of the program.
     stream: ProgramStream | None = None  #: Rest of the program, to be read after the probe.
     digest: str = ''  #: SHA-256 of the program.

@@ -120,7 +120,7 @@ class ActiveModesTopic:
 Result = RunProgram.Result
 WORK_PERIOD = 0.02  #: Time between two calls of a run's step [s].
 FEEDBACK = 0.1  #: Time between two feedback messages of the action [s].
-ALIVE = 1.0  #: Time between empty messages while no blocks are sent in single block [s].
+ALIVE = 1.0  #: Time between empty messages while single block holds blocks back [s].
 PRESS_AGAIN = 0.25  #: Time until a service of the machine is called again [s].
 FROZEN = 0.5  #: If this node was suspended longer, silence of others is ignored [s].
 

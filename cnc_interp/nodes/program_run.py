@@ -218,7 +218,7 @@ class ProgramRun:
         return None
 
     def read_on(self, ready: Future[Prepared], state: MachineState, sent: int, now: float) -> None:
-        """Begin the next part of a program, after its probe; ``ready`` is its coming check."""
+        """Begin the next part of a program, after a probe; ``ready``: future of its check."""
         assert self.probed is not None
         self.parts.append(state)
         self.sent_in_parts += max(self.sent_before, sent) - 1

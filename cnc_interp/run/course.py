@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 PORTION = 500  #: Number of path cells planned in one call.
 FINE = 64  #: The same at the beginning, while the drives wait for setpoints.
 AHEAD = 4000  #: Largest number of path cells that are available for a stop.
-ENVELOPE = 24  #: Number of cells into which the way of a stop is divided.
-ABOVE = 1.02  #: Feed allowed on the way of a stop, over the speed of the stop [-].
+ENVELOPE = 24  #: Number of cells into which the path of a stop is divided.
+ABOVE = 1.02  #: Feed allowed on the path of a stop, over the speed of the stop [-].
 SAME = 1e-13  #: Path positions nearer than this are equal; every cell is longer [m].
 #: Planner options in a run: no lower bound of the motion time is computed.
 LIVE = PlanOptions(bound=False)

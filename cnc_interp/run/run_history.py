@@ -19,7 +19,7 @@ COLUMNS = (
     *('predicted_s', 'actual_s', 'motion_s', 'held_s', 'holds', 'alarms', 'message'),
 )
 TAIL = 1 << 16  #: This much of the end of the file is read [bytes].
-#: States in which a run waits for the operator, and those after it was stopped by a problem.
+#: States that count as a hold by the operator, and states that count as an alarm.
 HOLDS = frozenset({State.HOLDING, State.HELD, State.PAUSED, State.AWAY})
 ALARMS = frozenset({State.STARVING, State.STARVED, State.STOPPING, State.FAULT})
 

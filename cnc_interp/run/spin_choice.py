@@ -31,7 +31,7 @@ from cnc_interp.settings.options import Settings
 #: Spins that are tried, in addition to that of the machine file [rad].
 SPINS = np.arange(24) * 15.0 * DEG
 SAME = 1e-9  #: Spins that differ by less than this are equal [rad].
-EVERY, OTHERS = 3, 4  #: Every third spin is planned, and 4 others with little turning.
+EVERY, OTHERS = 3, 4  #: Every third spin is planned, and the 4 others that turn least.
 #: Coefficients of the Legendre polynomials on 0 ... 1, by ascending powers of u.
 LEGENDRE = np.array(
     [

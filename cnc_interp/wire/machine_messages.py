@@ -31,7 +31,7 @@ def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState
 def executed_setpoints(
     playback: Playback, period: float
 ) -> list[tuple[msg.SetpointChunk, msg.AxisFeedback]]:
-    """Return the setpoints and feedback executed since the last call; numbers count in the run."""
+    """Return setpoints and feedback executed since the last call, numbered within the run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
     queue = playback.switching.switched
     switched = [queue.popleft() for _ in range(len(queue))]

@@ -116,7 +116,7 @@ def _check_control_point(name: str, message: G1Block) -> None:
 def check_segment(
     message: PathSegment, extra_count: int = 0, signals: Signals = NO_SIGNALS, spins: bool = False
 ) -> None:
-    """Raise StreamError for a segment with fields wrong for its kind, or wrong extra axes."""
+    """Raise StreamError if a segment has wrong fields for its kind, or wrong extra axes."""
     name = f'segment {message.sequence} (line {message.line_number})'
     kind, curved = message.kind, message.kind in CURVES
     if kind not in (LINE, CORNER, ROTATION, SPLINE):
@@ -217,7 +217,7 @@ def check_chunk(
 
 
 def check_state(message: MachineState, axis_count: int | None = None) -> None:
-    """Raise StreamError for a state unusable for planning. None: any ``axis_count`` is valid."""
+    """Raise StreamError if nothing can be planned from a state; axis count None: any."""
     name = 'machine_state'
     count = len(message.commanded_positions) if axis_count is None else axis_count
     if len(message.positions) != count:

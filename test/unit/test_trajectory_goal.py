@@ -43,5 +43,5 @@ def test_a_plan_that_waits_is_refused_by_line(tmp_path, stop):
 def test_a_plan_that_switches_is_refused_by_line(tmp_path):
     plan = planned(tmp_path)
     functions = {**plan.functions, 'line_number': np.array([2])}
-    with pytest.raises(InterpError, match='line 2 switches something'):
+    with pytest.raises(InterpError, match='line 2 sets an output'):
         trajectory_of(replace(plan, functions=functions))

@@ -294,7 +294,7 @@ def joined(edges: Sequence[FloatArray]) -> list[FloatArray]:
 
 @njit(cache=True, nogil=True)
 def within(pieces: FloatArray, u: FloatArray, v: FloatArray) -> BoolArray:
-    """Return which points lie within closed polygons, by the parity of the pieces beside them."""
+    """Return which points lie in closed polygons: a ray along +u meets an odd count of pieces."""
     inside = np.zeros(len(u), np.bool_)
     for i in range(len(u)):
         for j in range(len(pieces)):

@@ -1,4 +1,4 @@
-"""The work of `cam simulate --tiles`: needles in tiles, their figures, levels and the page.
+"""`cam simulate --tiles`: cut needles in tiles, then make the figures, levels and page.
 
 A page opened from disk may load scripts but not files. So each tile is a script with its heights:
 whole nanometres in three planes of bytes, deflated, in base 64.

@@ -49,7 +49,7 @@ def add_batch_commands(commands: Any) -> None:
         ),
         workers_option('programs that are planned at the same time'),
         option('--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS'),
-        flag('--keep-plans', 'keep the plan files of all programs in DIR/plans'),
+        flag('--keep-plans', 'keep the plan files in all programs in DIR/plans'),
         option('--rate', 'cost of one hour of the machine', positive, 'COST'),
         option(
             '--memory',
@@ -129,7 +129,7 @@ def batch_command(options: argparse.Namespace) -> int:
         told = ', '.join(f'{counts[verdict]} {verdict}' for verdict in Verdict if counts[verdict])
         print(f'programs       {len(results)}: {told}')
         print(
-            f'cycle time     {total:.1f} s of all'
+            f'cycle time     {total:.1f} s in all'
             + (f', cost {total * options.rate / HOUR:.2f}' if options.rate else '')
         )
         print(f'page           {options.out / "batch.html"}')

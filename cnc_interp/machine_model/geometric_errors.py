@@ -164,7 +164,7 @@ def error_table(
         row, k = divmod(int(np.argmax(np.abs(size) / most)), size.shape[1])
         demand(
             abs(size[row, k]) <= most[k],
-            f'changes or is too much for an error ({size[row, k] / 1e-6:.4g} um, urad, or per '
+            f'is too large or too steep for an error ({size[row, k] / 1e-6:.4g} um, urad, or per '
             'metre); is the unit right?',
             f'{where}.{list(units)[k]}',
         )

@@ -165,7 +165,7 @@ class WindowedReceiver:
     def _fault(self, run_id: RunId, first: int, begins: bool) -> tuple[str, Refusal]:
         due = self.next_number
         if not run_id:
-            return f'{first} has no program id; name the program', Refusal.FOREIGN_RUN
+            return f'item {first} has no program id; send one', Refusal.FOREIGN_RUN
         if run_id != self.run_id:
             return self._fault_of_new(run_id, first, begins)
         if self.refused:

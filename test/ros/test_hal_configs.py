@@ -19,7 +19,7 @@ SAMPLES = Path('/usr/share/doc/linuxcnc/examples/sample-configs')
 REFUSED = (
     r'is Tcl, which is not read',
     r'KINEMATICS: \w+ is not known',
-    r'COORDINATES: trivkins with (?!XYZ[ABC]?[UVW]?:)[\w ]+: the axes must be XYZ',
+    r'COORDINATES: trivkins with (?!XYZ[ABC]?[UVW]?:)\w+: the axes must be XYZ',
     r'no KINEMATICS in \[KINS\]; give the INI file of LinuxCNC 2\.8 or later',
     r'MAX_VELOCITY: missing in \[AXIS_\w\]',
     r'\.hal: cannot be opened: No such file',

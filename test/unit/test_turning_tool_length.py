@@ -103,7 +103,7 @@ def test_the_planned_tip_keeps_the_contour_tolerance(machine):
     ('text', 'part'),
     [
         ('G1 X9 RND=2 F500\nX9 Y9 A5', 'cannot adjoin a turn of the tool'),
-        ('G1 X9 F500\nBSPLINE X20', 'a spline with a tool length'),
+        ('G1 X9 F500\nBSPLINE X20', 'a spline takes no tool length'),
     ],
 )
 def test_what_cannot_turn_with_the_length_is_refused(text, part):

@@ -102,7 +102,7 @@ class TargetColumns:
             self._rows.extend(ready)
 
     def give_spin(self) -> int:
-        """Reserve a column for the spin of an arm times flank height [m]; return its index."""
+        """Reserve a column for (spin of an arm) x (flank height) [m]; return its index."""
         place = len(self._extra)
         if place == len(self.extra_start):
             raise ProgramError('poses need an arm with at most two further joints', self._source)

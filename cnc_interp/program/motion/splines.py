@@ -150,7 +150,7 @@ class Splines:
             raise mover.fault(f'a spline needs tool-tip programming; {how}', 'BSPLINE')
         if mover.frames.length:
             raise mover.fault(
-                'a spline with a tool length; put it into the machine file', 'BSPLINE'
+                'a spline takes no tool length; put it into the machine file', 'BSPLINE'
             )
         second = None if self._second is None else mover.frames.point(self._second)
         self._changed, height = None, mover.settings.flank_height

@@ -225,7 +225,7 @@ class AxisCorners:
 def _largest_gap(
     inner: FloatArray, outer: FloatArray, before: FloatArray, after: FloatArray, both: FloatArray
 ) -> FloatArray:
-    """Bound the distance from the program, and that of the vertex from the curve, shape (n,).
+    """Bound the distances of the curve from the program and the vertex from the curve, (n,).
 
     The first is at most ``max_u min(a before, b after)``, found where both are equal, because one
     falls and the other rises. The second is at most ``a before + b after`` at any parameter. Both

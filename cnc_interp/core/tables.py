@@ -85,6 +85,10 @@ class Table:
         columns = self.__dict__
         return self._of({name: columns[name][rows] for name in self._names})
 
+    def having(self, **columns: Any) -> Self:
+        """Return these rows with other columns, without checking their shapes."""
+        return self._of({**self.__dict__, **columns})
+
     @classmethod
     def _of(cls, columns: Mapping[str, Any]) -> Self:
         """Return a table of columns without checking their shapes."""

@@ -33,7 +33,7 @@ from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics import axis_path
 from cnc_interp.kinematics.axis_path import AxisPath
 
-STEP = 5e-4  #: Longest time with one jerk [s].
+STEP = 2e-3  #: Longest time with one jerk [s].
 HALVINGS = 3  #: How often a step is halved until its bound keeps the limits.
 SHARE = 0.05  #: Longest such time relative to that in which braking would take away all speed [-].
 LEEWAY = 2e-4  #: Smallest part of every limit that braking leaves free [-].

@@ -203,12 +203,13 @@ class RunPlanner:
 
     def with_lines(self, chunk: Chunk) -> Chunk:
         samples, tail = (
-            replace(part, line=self._lines_of(part.block)) for part in (chunk.samples, chunk.tail)
+            part.having(line=self._lines_of(part.block)) for part in (chunk.samples, chunk.tail)
         )
         return replace(chunk, samples=samples, tail=tail)
 
     def _lines_of(self, block: IntArray) -> IntArray:
-        """Return the source line of each block; equal neighbours are looked up once."""
-        first = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
-        lines = np.array([*map(self.line_of, block[first].tolist())], dtype=np.int64)
-        return np.repeat(lines, np.diff(first, append=len(block)))
+        """Return the source line of each block of consecutive setpoints."""
+        if not len(block):
+            return block
+        first, last = int(block[0]), int(block[-1])
+        return np.array([*map(self.line_of, range(first, last + 1))])[block - first]

@@ -67,6 +67,12 @@ def test_tests_that_a_page_names_are_in_the_files_that_it_links(page):
         assert f'def {name}(' in (page.parent / file).read_text(), f'{file} has no test {name}'
 
 
+@pytest.mark.parametrize('script', ['cnc', '.ci/run', 'tools/make_wheels', 'tools/bare_system'])
+def test_examples_that_scripts_use_exist(script):
+    for name in re.findall(r'examples/\w+\.\w+', (ROOT / script).read_text()):
+        assert (ROOT / name).exists(), f'{script} uses {name}'
+
+
 def test_the_texts_stay_short_enough_to_be_read():
     """Words with a letter, in pages and tables; 44,542 before they were condensed."""
     words = [word for page in PAGES for word in page.read_text().split()]

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from plan_directories import stroke
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from cnc_interp.core import DEG, MM, StreamError
-from cnc_interp.drives.drive_model import discretise
+from cnc_interp.drives.drive_model import discretise, exponential
 from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.cycle_kernels import ALARM_SHIFT, REFUSED, REST
@@ -127,6 +128,13 @@ def test_stable_and_settling_at_any_period(period, gain, lag):
     # At rest on a constant setpoint: x = r, v = 0.
     rest = np.linalg.solve(np.eye(2) - transition, held @ np.array([1.0, 0.0]))
     assert rest == pytest.approx([1.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize('size', [0.0, 1e-6, 1e-2, 1.0, 40.0])
+def test_the_exponential_of_a_matrix_is_that_of_scipy(size):
+    matrix = np.random.default_rng(2).uniform(-size, size, (6, 6))
+    exact = expm(matrix)
+    assert np.abs(exponential(matrix) - exact).max() < 1e-12 * np.abs(exact).max()
 
 
 def test_a_step_of_the_setpoint_against_an_integrator():

@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 HERE = Path(__file__).parent
+#: Folders from which the scripts import.
+FOLDERS = '.', 'benchmarks', 'test/ros', 'test/page', 'test/unit'
 
 
 class Benchmark(NamedTuple):
@@ -85,7 +87,7 @@ def run(benchmark: Benchmark, small: bool) -> tuple[int, float]:
     words = (benchmark.small or '') if small else benchmark.words
     command = [sys.executable, str(HERE / f'{benchmark.script}.py'), *words.split()]
     print(f'\n== {" ".join(["benchmarks/" + benchmark.script + ".py", words])}', flush=True)
-    path = os.pathsep.join([str(HERE.parent), str(HERE)])
+    path = os.pathsep.join(str(HERE.parent / name) for name in FOLDERS)
     begun = time.monotonic()
     code = subprocess.run(command, env={**os.environ, 'PYTHONPATH': path}).returncode
     return code, time.monotonic() - begun

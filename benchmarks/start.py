@@ -1,8 +1,10 @@
 """
-How long a run takes until the machine moves, and how long nodes take to find each other.
+How long a run takes until the machine moves, from its command and from a goal to running nodes;
+and how long nodes take to find each other.
 
-``python benchmarks/start.py [--runs 10]`` prints both times. For the second one, a node is started
-first and four others a while later, as in a run, where the client's node exists before the others.
+``PYTHONPATH=.:test/ros python benchmarks/start.py [--runs 10]`` prints these times. For the last
+one, a node is started first and four others a while later, as in a run, where the client's node
+exists before the others.
 """
 
 from __future__ import annotations
@@ -14,8 +16,13 @@ import random
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
+
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import MachineState
+from nodes_under_test import NodesUnderTest
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Nodes that look for each other, topics of each, and the longest look [s].
@@ -27,6 +34,23 @@ def first_motion() -> float:
     command = [sys.executable, '-m', 'cnc_interp', 'run', 'examples/pyramid.ngc', '--json']
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     return float(json.loads(done.stdout)['start_to_motion'])
+
+
+def motion_after_goal(nodes: NodesUnderTest) -> float:
+    """Return the time from a goal to the first state in motion, on nodes that run [s]."""
+    nodes.states.clear()
+    begun = time.monotonic()
+    handle = nodes.start(program=str(ROOT / 'examples' / 'pyramid.ngc'))
+    nodes.spin_until(
+        lambda: any(
+            state.state == MachineState.RUNNING
+            and state.waits_for == MachineState.WAITS_FOR_NOTHING
+            for state in nodes.states
+        )
+    )
+    found = time.monotonic() - begun
+    assert nodes.result_of(handle).code == RunProgram.Result.SUCCEEDED
+    return found
 
 
 def look(
@@ -78,18 +102,24 @@ def discovery(delay: float) -> float:
     return max(seen) - max(begun)
 
 
+def tell(title: str, measure: Callable[[], float], runs: int) -> None:
+    """Measure some times, and print a line."""
+    values = sorted(measure() for _ in range(runs))
+    spread = f'{values[0]:.2f} to {values[-1]:.2f} s'
+    print(f'{title:<28} median {median(values):.2f} s, {spread}, {runs} times', flush=True)
+
+
 def main() -> None:
-    """Print both."""
+    """Print all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--runs', type=int, default=10)
     runs = parser.parse_args().runs
-    for title, measure in (
-        ('first motion after start', first_motion),
-        ('nodes found, 2 s after one', lambda: discovery(2.0)),
-    ):
-        values = sorted(measure() for _ in range(runs))
-        spread = f'{values[0]:.2f} to {values[-1]:.2f} s'
-        print(f'{title:<28} median {median(values):.2f} s, {spread}, {runs} times', flush=True)
+    nodes = NodesUnderTest()
+    motion_after_goal(nodes)  # leaves the tool at the end of the program
+    tell('first motion after a goal', lambda: motion_after_goal(nodes), runs)
+    nodes.close()
+    tell('first motion after start', first_motion, runs)
+    tell('nodes found, 2 s after one', lambda: discovery(2.0), runs)
 
 
 if __name__ == '__main__':

@@ -189,7 +189,7 @@ def summary() -> Iterator[str]:
     for section, text in (('first', ''), ('optimum', ', corrected between its instants')):
         if len(found := against(section)):
             yield (
-                f'| cycle time / optimum of an independent solver (IPOPT){text}, {len(found)} '
+                f'| cycle time / optimum (IPOPT){text}, {len(found)} '
                 f'paths: median, largest | 1.005, 1.01 '
                 f'| {np.median(found):.4f}, {found.max():.4f} |'
             )
